@@ -13,7 +13,7 @@ project = "thermorender"
 copyright = "the thermorender authors"
 release = version = version_of("thermorender")
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "numpydoc", "command_line"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "numpydoc", "command_line", "public_names"]
 exclude_patterns = ["_build", "_ext"]
 html_theme = "furo"
 html_title = f"thermorender {release}"

@@ -13,7 +13,7 @@ from support import contents, slow
 
 import thermorender as tr
 from scenes import coarse, write_terrain
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, ThermorenderWarning
 from thermorender.output.blocks import FOLDER, join, usual_length
 from thermorender.output.flight import Flight, FlightOptions, fly
 from thermorender.output.flight_part import fly_part
@@ -103,6 +103,24 @@ def test_gaps_and_damaged_blocks_are_rendered(renderer, tmp_path):
     fly(renderer, path, tmp_path / "parts", options, resume=True)
     assert contents(tmp_path / "parts") == contents(tmp_path / "whole")
     assert not (tmp_path / "parts" / FOLDER).exists()
+
+
+def test_blocks_with_a_flipped_bit_are_not_copied(renderer, tmp_path):
+    """Counts make display images that depend on the frames before; the EXR makes the MCAP."""
+    path = path_of(40.0)
+    display = DisplaySettings(memory_s=0.5)
+    for products, copied in ((("display", "video"), "_counts.png"), (("exr", "mcap"), ".exr")):
+        options, name = FlightOptions(rate_hz=10.0, products=products, display=display), products[1]
+        fly(renderer, path, tmp_path / f"{name}-whole", options)
+        for first, stop in ((0, 5), (5, 11)):
+            fly_part(renderer, path, tmp_path / name, options, first, stop)
+        damaged = tmp_path / name / f"frame_000007{copied}"
+        data = bytearray(damaged.read_bytes())
+        data[len(data) // 2] ^= 1
+        damaged.write_bytes(data)
+        with pytest.warns(ThermorenderWarning, match=f"frame_000007{copied} is missing or not as it was written"):
+            fly(renderer, path, tmp_path / name, options, resume=True)
+        assert contents(tmp_path / name) == contents(tmp_path / f"{name}-whole")
 
 
 def test_parts_of_another_flight_are_refused(renderer, tmp_path):

@@ -3,6 +3,7 @@
 import json
 import pickle
 import shutil
+import warnings
 from dataclasses import replace
 
 import mitsuba
@@ -13,7 +14,7 @@ from support import contents, interrupted, records, slow
 
 import thermorender as tr
 from scenes import coarse, scene_object, write_mesh, write_terrain
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, ThermorenderWarning
 from thermorender.formats import write_image
 from thermorender.frame.exr import read_exr
 from thermorender.output.flight import FlightOptions, fly
@@ -185,6 +186,29 @@ def test_damaged_files_are_rendered_again(setting, tmp_path, damage):
     assert fly(renderer, path, tmp_path / "f", flight, resume=True)["rendered"] == (3 if damage == "cut" else 0)
     assert fly(renderer, path, tmp_path / "f", flight, verify=True)["rendered"] == (0 if damage == "cut" else 3)
     assert contents(tmp_path / "f") == whole
+
+
+@pytest.mark.parametrize(("copied", "product"), [("_counts.png", None), (".exr", "mcap"), (".png", "video")])
+def test_resume_does_not_copy_a_flipped_bit_into_another_file(setting, tmp_path, copied, product):
+    """Only files from which others are made are read again without `verify`."""
+    renderer, path = setting
+    flight = FlightOptions(rate_hz=4.0, products=("exr", "counts", "display", *filter(None, [product])))
+    fly(renderer, path, tmp_path / "whole", flight)
+    with interrupted(4) as stop:
+        fly(renderer, path, tmp_path / "f", flight, progress=stop)
+    damaged = tmp_path / f"f/frame_000001{copied}"
+    data = bytearray(damaged.read_bytes())
+    data[len(data) // 2] ^= 1
+    damaged.write_bytes(data)
+    if product is None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", ThermorenderWarning)
+            fly(renderer, path, tmp_path / "f", flight, resume=True)
+        assert damaged.read_bytes() == data
+        return
+    with pytest.warns(ThermorenderWarning, match=f"frame_000001{copied} is missing or not as it was written"):
+        assert fly(renderer, path, tmp_path / "f", flight, resume=True)["rendered"] == 4
+    assert contents(tmp_path / "f") == contents(tmp_path / "whole")
 
 
 def test_hovering_flight_starts_as_a_single_frame(setting, tmp_path):

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from thermorender import files, formats
 from thermorender.errors import ThermorenderError
 from thermorender.output import products as product_files
-from thermorender.output.resume import load_state, refuse_other_settings, refuse_used, state_file, whole
+from thermorender.output.resume import is_damaged, load_state, refuse_other_settings, refuse_used, state_file
 
 if TYPE_CHECKING:
     from thermorender.output.flight import Flight
@@ -126,12 +126,15 @@ def finished_blocks(folder: Path, settings: dict[str, Any], verify: bool) -> dic
     """Return {first frame: Block} of the intact blocks of a flight of these settings, the longest of each beginning."""
     found: dict[int, Block] = {}
     digest = settings_digest(settings)
+    # Display images that depend on the frames before are made of counts.
+    copied = product_files.copied(settings["products"]) | {"counts"}
     for path in sorted((folder / FOLDER).glob("*.json")):
         block = _read(path)
         if block is None or block.settings != digest:
             continue
-        known = [(folder / name, each) for line in block.lines for name, each in line["files"].items()]
-        if all(whole(file, each, verify) for file, each in known):
+        known = {folder / name: each for line in block.lines for name, each in line["files"].items()}
+        again = {path for line in block.lines for path in product_files.paths(folder, line["index"], copied).values()}
+        if not is_damaged(known, again, verify):
             if block.first not in found or found[block.first].stop < block.stop:
                 found[block.first] = replace(block, lines=[])
     return found

@@ -120,6 +120,11 @@ def paths(folder: str | PathLike[str], index: int, products: Iterable[str]) -> d
     return {name: Path(folder) / f"frame_{index:06d}{WRITERS[name][0]}" for name in products if name in WRITERS}
 
 
+def copied(products: Iterable[str]) -> set[str]:
+    """Return the products of a frame whose files others of the flight are made of."""
+    return {needed for name, needed, _ in _NEEDS if name in products and name in ("video", "mcap")}
+
+
 def encoders(
     frame: "Frame", products: Iterable[str], image: NDArray[np.uint8] | None = None,
     thermography: ThermographySettings | None = None,

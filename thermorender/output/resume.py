@@ -2,14 +2,15 @@
 
 import json
 import os
-from collections.abc import Sequence
+import warnings
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
 from thermorender import files, formats
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, ThermorenderWarning
 from thermorender.output import products as product_files
 
 # Explanations of digests, for the error that they differ.
@@ -22,7 +23,7 @@ _DIGESTED = {
 def finished(folder: Path, settings: dict[str, Any], products: Sequence[str], resume: bool, verify: bool) -> list[bool]:
     """Return for each finished frame whether it shows terrain; drop the lines of other frames from `frames.jsonl`. To
     resume, `settings` must equal those of `flight.json`; otherwise the folder must hold no flight. `verify` compares
-    checksums of files, not only sizes."""
+    checksums of all files, not only sizes and the checksums of those from which video and MCAP are made."""
     described, lines = folder / "flight.json", folder / "frames.jsonl"
     if not resume:
         refuse_used(folder)
@@ -35,14 +36,14 @@ def finished(folder: Path, settings: dict[str, Any], products: Sequence[str], re
             )
         return []
     refuse_other_settings(described, settings)
-    kept, terrain = [], []
+    kept, terrain, copied = [], [], product_files.copied(products)
     text = lines.read_text(encoding="utf-8", errors="replace") if lines.exists() else ""
     for number, line in enumerate(text.splitlines()):
         try:
             stored = formats.unsealed(json.loads(line))
             index, shows, known, _ = (stored[key] for key in ("index", "shows_terrain", "files", "apparent_k"))
-            images = product_files.paths(folder, number, products).values()
-            if index != number or not all(whole(path, known[path.name], verify) for path in images):
+            known = {path: known[path.name] for path in product_files.paths(folder, number, products).values()}
+            if index != number or is_damaged(known, product_files.paths(folder, number, copied).values(), verify):
                 break
         except (ValueError, KeyError, TypeError):
             break
@@ -85,10 +86,18 @@ def refuse_other_settings(described: Path, settings: dict[str, Any]) -> None:
             )
 
 
-def whole(path: Path, known: tuple[int, str], verify: bool) -> bool:
-    """Return whether a file has the size, and if asked for the checksum, of its frame's record."""
-    size, checksum = known
-    return path.exists() and path.stat().st_size == size and (not verify or formats.checksum(path) == checksum)
+def is_damaged(known: Mapping[Path, tuple[int, str]], copied: Collection[Path], verify: bool) -> bool:
+    """Return whether one of some files, {path: (size, checksum)}, is not as it was written, and warn of the first. The
+    checksums of those that are `copied` into other files are compared, with `verify` those of all."""
+    for path, (size, checksum) in known.items():
+        whole = path.exists() and path.stat().st_size == size
+        if not whole or ((verify or path in copied) and formats.checksum(path) != checksum):
+            warnings.warn(
+                f"{path} is missing or not as it was written; its frame and those after it are rendered again",
+                ThermorenderWarning, stacklevel=2,
+            )  # fmt: skip
+            return True
+    return False
 
 
 def refuse_moved(folder: Path, before: os.stat_result) -> None:

@@ -112,6 +112,17 @@ def test_frames_hold_no_earlier_pose(server, bridge):
     assert found["time_stamp"] == 100_000_000
 
 
+def nested(depth):
+    """A list in a list in a list."""
+    value = []
+    for _ in range(depth):
+        value = [value]
+    return value
+
+
+NESTED = nested(1010)
+
+
 def pose_at(east, pitch_deg):
     w, x, y, z = wxyz(rotation_from_angles(0.0, pitch_deg, 0.0))
     return {
@@ -121,8 +132,13 @@ def pose_at(east, pitch_deg):
 
 
 @pytest.mark.parametrize(
-    "data", [b"GET / HTTP/1.1\r\n\r\n", b"\xc1" * 9, msgpack.packb([2, "ping", []]), b"\xdf" + b"\xff" * 99]
-)
+    "data",
+    [
+        b"GET / HTTP/1.1\r\n\r\n", b"\xc1" * 9, msgpack.packb([2, "ping", []]), b"\xdf" + b"\xff" * 99,
+        msgpack.packb([0, 5, "ping", [0] * 65]),
+        b"\x94\x00" + b"\x91" * 600 + b"\x01" + msgpack.packb("ping") + b"\x90",  # its number cannot be sent back
+    ],
+)  # fmt: skip
 def test_other_bytes_end_the_connection(bridge, data):
     with socket.create_connection(("127.0.0.1", bridge.port), 20.0) as own:
         own.sendall(data)
@@ -142,6 +158,10 @@ def test_other_bytes_end_the_connection(bridge, data):
         ("x" * 999, []),
         (["ping"], []),
         ({"ping": 1}, []),
+        (NESTED, []),
+        ("simGetImages", [[{"camera_name": NESTED}]]),
+        ("simGetImages", [[], NESTED]),
+        ("simSetVehiclePose", [{"position": {"x_val": "1" * 10_000}}]),
     ],
 )
 def test_wrong_arguments_are_answered_in_a_sentence(bridge, method, arguments):

@@ -1,8 +1,10 @@
 """The live view as OpenCV sees it, and the thermal range as another process of pymavlink gets it."""
 
+import socket
 import subprocess
 import sys
 import threading
+import time
 import urllib.error
 import urllib.request
 
@@ -14,6 +16,7 @@ from link_support import connected, serving
 
 import thermorender as tr
 from scenes import coarse, write_terrain
+from thermorender.apps.link.bridges import view as bridge
 from thermorender.apps.link.bridges.mavlink import ThermalRange
 from thermorender.apps.link.bridges.view import View
 from thermorender.apps.link.stage import Stage
@@ -71,6 +74,23 @@ def test_nobody_looks_without_the_token(view):
             urllib.request.urlopen(wrong, timeout=10.0)
     assert view.address.startswith("http://127.0.0.1:")
     assert len(view.address.split("/")[3]) >= 32
+
+
+def test_half_requests_end_and_keep_no_viewer_out(view, monkeypatch):
+    monkeypatch.setattr(bridge, "_TIMEOUT_S", 1.0)
+    trickling = socket.create_connection(("127.0.0.1", view.port), timeout=20.0)
+    with trickling, pytest.raises((ConnectionResetError, BrokenPipeError)):
+        for _ in range(200):
+            trickling.sendall(b"x")
+            time.sleep(0.05)
+    monkeypatch.setattr(bridge, "_TIMEOUT_S", 60.0)
+    idle = [socket.create_connection(("127.0.0.1", view.port), timeout=20.0) for _ in range(40)]
+    with pytest.raises(urllib.error.HTTPError, match="404"):
+        urllib.request.urlopen(f"{view.address}x", timeout=10.0)
+    # Those that wait longest made room.
+    assert [each.recv(1) for each in idle[:24]] == [b""] * 24
+    for each in idle:
+        each.close()
 
 
 @pytest.mark.parametrize(("name", "kind", "first"), [

@@ -1,6 +1,9 @@
 """The link: a session gives the bytes of `fly`, checks what arrives, and has its own sensor."""
 
+import gc
 import json
+import time
+import weakref
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -386,3 +389,36 @@ def test_paths_are_those_of_logs_up_to_rounding(renderer, tmp_path, position):
         for name, most in (("time_s", 0.0), ("position", 1e-13), ("quaternion", 1e-15)):
             found = np.concatenate([getattr(path, name) for path in paths])
             np.testing.assert_allclose(found, getattr(wanted, name), rtol=0.0, atol=most)
+
+
+@pytest.mark.parametrize("how", ["closed", "disconnected"])
+def test_the_memory_of_a_session_is_free_at_its_end(server, path, monkeypatch, how):
+    """At once: Python's search for cycles runs much later."""
+    open_session, made = server._stage.open, []
+
+    def opened(settings):
+        session = open_session(settings)
+        made.extend(map(weakref.ref, (session, session.frames, session.renderer)))
+        return session
+
+    def free():
+        end = time.monotonic() + 10.0
+        while any(each() for each in made) and time.monotonic() < end:
+            time.sleep(0.01)
+        return not any(each() for each in made)
+
+    monkeypatch.setattr(server._stage, "open", opened)
+    gc.disable()
+    try:
+        with connected(server) as client:
+            session = client.open(rate_hz=9.0)
+            moved = {"plate": {"east_m": 0.5}}
+            for reply in flight(session, path, (0.0, 0.1), products=("counts", "targets"), objects=moved):
+                assert reply.counts.any()
+            assert len(made) == 3 and all(each() for each in made)
+            if how == "closed":
+                session.close()
+                assert free()
+        assert free()
+    finally:
+        gc.enable()

@@ -81,6 +81,7 @@ def test_broken_addresses_are_refused():
     for origin in ("http://[", "null", "", "ftp://127.0.0.1:8000", "http://127.0.0.1:8000.example"):
         assert status_of({"host": "127.0.0.1:8000", "origin": origin, **cookie}) == 403
     assert status_of({"host": "127.0.0.1:8000", "origin": "http://127.0.0.1:8000", **cookie}) == 200
+    assert status_of({"host": "127.0.0.1", "origin": "http://127.0.0.1", **cookie}) == 200  # a browser, of port 80
 
 
 def test_a_tab_need_not_wait_for_its_own_edits(session):

@@ -62,6 +62,7 @@ class Server:
         try:
             while (job := self._jobs.get()) is not None:
                 self._work(job)
+                del job  # It holds its session, which may be closed by now.
         finally:
             with contextlib.suppress(RuntimeError):  # the loop has ended by an error
                 self._loop.call_soon_threadsafe(self._ended.set)

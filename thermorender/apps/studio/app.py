@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import hmac
+import re
 import secrets
 import sys
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse, RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from thermorender.apps.studio.connections import Connection
 from thermorender.apps.studio.ground import map_picture
 from thermorender.apps.studio.page import Tab
 from thermorender.apps.studio.session import Session
@@ -66,7 +68,8 @@ class Guard:
     def _fault(self, headers: Headers) -> str:
         """Why the addresses of a request are not the studio's; "" if they are."""
         host, origin = headers.get("host", ""), headers.get("origin")
-        if self._names is not None and host.rpartition(":")[0] not in self._names:
+        # Browsers leave out port 80.
+        if self._names is not None and re.sub(r":\d+$", "", host) not in self._names:
             return f"host {host[:80]!r} is not the studio's; open the address that thermorender printed"
         if origin not in (None, f"http://{host}", f"https://{host}"):
             return f"origin {str(origin)[:80]!r} is not the studio's page; open the address that thermorender printed"
@@ -99,8 +102,8 @@ def run(
     token, port = secrets.token_urlsafe(24), int(listening.getsockname()[1])
     session = Session(renderer, quality, files)
     config = uvicorn.Config(
-        Guard(_application(session, pose), token, host, port), log_level="error", access_log=False, lifespan="on",
-        timeout_graceful_shutdown=_LEAVES_S, ws_max_size=4_000_000, server_header=False,
+        Guard(_application(session, pose), token, host, port), http=Connection, log_level="error", access_log=False,
+        lifespan="on", timeout_graceful_shutdown=_LEAVES_S, ws_max_size=4_000_000, server_header=False,
     )  # fmt: skip
     reached = "127.0.0.1" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     session.renders.start()

@@ -4,6 +4,7 @@ A frame equals that of `FlightFrames` to the byte if the path reaches `LiveFrame
 last sample the path stands still. Only the part that the sensor's memory needs is kept.
 """
 
+import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Generic
@@ -258,8 +259,13 @@ class LiveFrames(Generic[InstantRendererT]):
             steps = np.floor((end - start) / np.timedelta64(1, "s") / STEP_S)
             last_s = self._last_s = first_s + float(steps) * STEP_S
         self._timed = TimedRenderer(renderer, first_s, last_s)
-        self._exposure = exposure_of(self._timed, self._pose_at, 1.0 / self.rate_hz, self._movers, self.objects_at)
-        self._movers[:] = movers_of(renderer.scene, self.objects_at, {})
+        # The sensor holds these frames weakly: without a cycle, their memory is free as soon as nobody uses them.
+        own = weakref.proxy(self)
+        self._values_at = lambda at_s: own.objects_at(at_s)
+        self._exposure = exposure_of(
+            self._timed, lambda at_s: own._pose_at(at_s), 1.0 / self.rate_hz, self._movers, self._values_at
+        )
+        self._movers[:] = movers_of(renderer.scene, self._values_at, {})
 
     def renderer_at(self, time_s: float) -> InstantRendererT:
         """Return the Renderer of a time at which a frame was taken [s]."""
@@ -283,7 +289,7 @@ class LiveFrames(Generic[InstantRendererT]):
             return frame
         if self._given:
             times = {name: np.unique(np.concatenate([t for t, _ in own.values()])) for name, own in self._given.items()}
-            self._movers[:] = movers_of(self._renderer.scene, self.objects_at, times)
+            self._movers[:] = movers_of(self._renderer.scene, self._values_at, times)
         return frame.with_reading(*self._exposure.read(index, time_s, frame.radiance))
 
     def _taken(

@@ -39,6 +39,8 @@ STEP_S = 0.1
 # Version of the interface: that of cosysairsim; clients of version 1, airsim's, are served, too.
 _SERVER, _LEAST_CLIENT = 4, 1
 _MOST_VEHICLES, _MOST_IMAGES, _MOST_BYTES, _MOST_CONNECTIONS = 64, 16, 1 << 20, 16
+# Elements of an array or map of a call.
+_MOST_PARTS = 64
 # Sessions of the link that all calls may hold: half of the link's, so that those who hold its token find room.
 _MOST_SESSIONS = 32
 # A connection without a call for so long makes room for a new one [s].
@@ -124,7 +126,11 @@ class Bridge(LocalListener):
     def _serve(self, connection: socket.socket) -> None:
         """Answer the calls of one connection until it ends, or sends something else."""
         msgpack = _msgpack()
-        unpacker = msgpack.Unpacker(raw=False, max_buffer_size=_MOST_BYTES, strict_map_key=False)
+        # The stated length of an array takes memory before its elements arrive, and arrays may be nested.
+        unpacker = msgpack.Unpacker(
+            raw=False, max_buffer_size=_MOST_BYTES, strict_map_key=False, max_array_len=_MOST_PARTS,
+            max_map_len=_MOST_PARTS,
+        )  # fmt: skip
         with connect(*self._link) as client, contextlib.closing(Calls(self, client)) as calls:
             while data := connection.recv(1 << 16):
                 try:
@@ -134,7 +140,7 @@ class Bridge(LocalListener):
                     return
                 for each in messages:
                     # A request is [0, number, method, arguments]; a notification [2, method, arguments] has no answer.
-                    if not isinstance(each, list) or len(each) != 4 or each[0] != 0:
+                    if not isinstance(each, list) or len(each) != 4 or each[0] != 0 or not isinstance(each[1], int):
                         return
                     with self._lock:
                         self._called_s[connection] = time.monotonic()
@@ -162,13 +168,14 @@ class Calls:
     def answer(self, method: Any, arguments: Any) -> tuple[str | None, Any]:
         """Return (error or None, result) of a call."""
         if not isinstance(method, str) or method not in self._methods:
-            return f"method {shortened(repr(method))} is not served; call one of {', '.join(self._methods)}", None
+            name = shortened(repr(method)) if isinstance(method, str) else f"of type {type(method).__name__}"
+            return f"method {name} is not served; call one of {', '.join(self._methods)}", None
         try:
             return None, self._methods[method](*arguments)
         except ThermorenderError as error:
             return str(error), None
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
-            return f"the arguments of {method} are not those of AirSim ({error}); see its Python client", None
+        except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
+            return f"the arguments of {method} are not those of AirSim ({shortened(str(error))}); see its client", None
 
     def _set_pose(self, pose: Any, ignore_collision: bool = True, vehicle: str = "") -> None:
         self.bridge.set_pose(str(vehicle), pose)

@@ -6,6 +6,7 @@ It listens on this machine only. The address holds a token of its own, other tha
 import contextlib
 import hmac
 import secrets
+import socket
 import subprocess
 import threading
 import time
@@ -22,7 +23,12 @@ _TO_H264 = (
     "ultrafast -tune zerolatency -g 30 -vf crop=trunc(iw/2)*2:trunc(ih/2)*2,format=yuv420p -fps_mode passthrough "
     "-movflags frag_every_frame+empty_moov+default_base_moof -f mp4 -"
 ).split()
-_MOST_VIEWERS, _LEAST_S, _REPEAT_S, _TIMEOUT_S, _QUALITY = 8, 0.03, 2.0, 10.0, 85
+_MOST_VIEWERS, _MOST_WAITING, _LEAST_S, _REPEAT_S, _TIMEOUT_S, _QUALITY = 8, 16, 0.03, 2.0, 10.0, 85
+
+
+def _end(connection: socket.socket) -> None:
+    with contextlib.suppress(OSError):
+        connection.shutdown(socket.SHUT_RDWR)
 
 
 class View(LocalListener):
@@ -32,10 +38,21 @@ class View(LocalListener):
         self._token = secrets.token_urlsafe(24)
         self._news, self._jpeg, self._count, self._viewers = threading.Condition(), b"", 0, 0
         self._shown_s, self._ended = 0.0, False
+        # Connections that have not asked with the token yet; each is ended after a while, or makes room for a new one.
+        self._waiting: dict[socket.socket, threading.Timer] = {}
         view = self
 
         class Handler(BaseHTTPRequestHandler):
             timeout = _TIMEOUT_S
+
+            def setup(self) -> None:
+                view._wait_for(self.request)
+                super().setup()
+
+            def finish(self) -> None:
+                view._heard(self.request)
+                with contextlib.suppress(OSError):  # the viewer has left
+                    super().finish()
 
             def do_GET(self) -> None:
                 view._answer(self)
@@ -68,12 +85,32 @@ class View(LocalListener):
             self._count += 1
             self._news.notify_all()
 
+    def _wait_for(self, connection: socket.socket) -> None:
+        """Expect a request within a while."""
+        timer = threading.Timer(_TIMEOUT_S, _end, [connection])
+        timer.daemon = True
+        with self._news:
+            oldest = next(iter(self._waiting)) if len(self._waiting) >= _MOST_WAITING else None
+            self._waiting[connection] = timer
+        timer.start()
+        if oldest is not None:
+            self._heard(oldest)
+            _end(oldest)
+
+    def _heard(self, connection: socket.socket) -> None:
+        """Expect no request any more."""
+        with self._news:
+            timer = self._waiting.pop(connection, None)
+        if timer is not None:
+            timer.cancel()
+
     def _answer(self, request: BaseHTTPRequestHandler) -> None:
         """Send frames until the viewer leaves."""
         name = "live.mp4" if request.path.endswith(".mp4") else "live.mjpg"
         if not hmac.compare_digest(request.path.encode(), f"/{self._token}/{name}".encode()):
             request.send_error(404, "Give the address that the server printed")
             return
+        self._heard(request.request)
         with self._news:
             if self._viewers >= _MOST_VIEWERS:
                 request.send_error(503, f"{_MOST_VIEWERS} viewers look; close one")
