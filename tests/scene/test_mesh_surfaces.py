@@ -174,9 +174,7 @@ def test_two_textures_of_a_mesh_share_learned_materials(folder):
     Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(folder / "east.png")
     with pytest.raises(ThermorenderError, match=r"texture of surface 'm:east' has texels of 5 m, but emissivity"):
         scene(folder, learned)
-    with pytest.raises(
-        ThermorenderError, match=r"emissivity\.known lies on a map, and this mesh has no place on it"
-    ):
+    with pytest.raises(ThermorenderError, match=r"emissivity\.known lies on a map, and this mesh has no place on it"):
         scene(folder, learned + 'known = "m.obj"\n')
 
 
