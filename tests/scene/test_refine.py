@@ -10,6 +10,7 @@ import thermorender as tr
 from scenes import scene_object, write_mesh, write_terrain
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render import reference
+from thermorender.scene.ground import Ground
 from thermorender.scene.refine import evened
 from thermorender.trajectory.path import pose
 
@@ -39,9 +40,37 @@ def test_refining_keeps_shapes_and_maps(tmp_path):
     assert np.sqrt(2 * area(fine)[near].max()) < 2.0 / 16
     rng = np.random.default_rng(0)
     east, north = rng.uniform(-6, 6, (2, 200))
-    from thermorender.scene.ground import Ground
-
     np.testing.assert_allclose(Ground([fine])(east, north), Ground([plain])(east, north), atol=1e-9)
+
+
+def test_many_small_objects_gain_few_triangles_and_a_large_one_keeps_its_own(tmp_path):
+    small = [scene_object(f"o{k}", [0.1, 0.1, 0.1], [k % 20 * 0.5 - 5, k // 20 * 0.5 - 4, 0.02], shape="disc")
+             for k in range(300)]  # fmt: skip
+    shed = scene_object("shed", [4.0, 3.0, 2.0], [0.0, 0.0, 0.0])
+    plain = tr.load_scene(write_terrain(tmp_path / "plain", height=np.zeros((16, 16)))).surfaces[0]
+    alone = tr.load_scene(write_terrain(tmp_path / "one", height=np.zeros((16, 16)), extra=shed))
+    scene = tr.load_scene(write_terrain(tmp_path / "many", height=np.zeros((16, 16)), extra="\n".join([shed, *small])))
+    discs = [surface for surface in scene.surfaces if surface.name.startswith("o")]
+    assert len(discs) == 300
+    # A sixteenth of a disc's width alone would make 1.2 million triangles on discs and a million beside them.
+    assert sum(len(surface.faces) for surface in discs) < 100_000
+    assert len(scene.surfaces[0].faces) < 100_000
+    (beside,) = (surface for surface in scene.surfaces if surface.name == "shed:box")
+    assert len(beside.faces) == len(alone.surfaces[1].faces)
+    np.testing.assert_allclose(area(scene.surfaces[0]).sum(), area(plain).sum(), rtol=1e-9)
+
+
+def test_a_finely_cut_spot_leaves_few_bins_to_large_triangles(tmp_path):
+    """Ten thousand triangles of 1 mm in a plane of two of 100 m, which would be in 10⁹ bins of their size."""
+    corner = np.array([[0.0, 0, 0], [100, 0, 10], [0, 100, 0], [100, 0, 10], [100, 100, 10], [0, 100, 0]])
+    step = np.stack(np.meshgrid(np.arange(100), np.arange(100)), axis=-1).reshape(-1, 1, 2) * 1e-3 + 120.0
+    tiny = np.concatenate([step + 1e-3 * np.array([[0.0, 0], [1, 0], [0, 1]]), np.zeros((10_000, 3, 1))], axis=-1)
+    vertices = np.concatenate([corner, tiny.reshape(-1, 3)])
+    surface = tr.load_scene(write_terrain(tmp_path / "a")).surfaces[0]
+    faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+    ground = Ground([replace(surface, vertices=vertices, faces=faces)])
+    assert ground(30.0, 20.0) == pytest.approx(3.0) and ground(120.0503, 120.0502) == pytest.approx(0.0)
+    assert len(ground._bins._triangle) <= 8 * (2 + 10_000)
 
 
 def test_heat_stays_under_the_plate(tmp_path):

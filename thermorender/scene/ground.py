@@ -53,12 +53,13 @@ class _Bins:
         # Bins about as large as a triangle, so that each triangle is in a few bins.
         sides = [np.median(np.ptp(plan[part], axis=1), axis=0) for part in self._parts()]
         self._bin = max(float(np.median(sides)) * 1.5, float(extent.max()) / 4096, 1e-9)
+        # Where most triangles are tiny, beside small objects, the others would be in thousands of bins each.
+        while sum(int(self._span(plan[part])[1].prod(axis=1).sum()) for part in self._parts()) > 8 * len(self._faces):
+            self._bin *= 1.5
         self._count = np.floor(extent / self._bin).astype(np.int64) + 1
         triangles, bins_of = [], []
         for number, part in enumerate(self._parts()):
-            corner = (plan[part] - self._origin) / self._bin
-            first = np.floor(corner.min(axis=1)).astype(np.int32)
-            span = np.floor(corner.max(axis=1)).astype(np.int32) - first + 1
+            first, span = self._span(plan[part])
             per_triangle = span.prod(axis=1)
             own = np.repeat(np.arange(len(part), dtype=np.int32), per_triangle)
             step = np.arange(len(own)) - np.repeat(np.cumsum(per_triangle) - per_triangle, per_triangle)
@@ -69,6 +70,11 @@ class _Bins:
         order = np.argsort(bins, kind="stable")
         self._triangle = np.concatenate(triangles)[order]
         self._start = np.concatenate([[0], np.cumsum(np.bincount(bins, minlength=self._count.prod()))])
+
+    def _span(self, corner: NDArray[np.floating]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """The first bin (F, 2) and the number of bins (F, 2) that triangles (F, 3, 2) reach into."""
+        first = np.floor((corner.min(axis=1) - self._origin) / self._bin).astype(np.int32)
+        return first, np.floor((corner.max(axis=1) - self._origin) / self._bin).astype(np.int32) - first + 1
 
     def _parts(self) -> list[NDArray[np.int32]]:
         """The faces, a few at a time."""

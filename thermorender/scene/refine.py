@@ -4,7 +4,7 @@ Light changes within a fraction of the size of an object beside it, and from foo
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,12 @@ _Box = tuple[_Floats, _Floats]
 # Longest edge of a triangle on and around an object, and margin around it, as shares of the object's extent.
 _EDGE_SHARE = 1.0 / 16.0
 _MARGIN_SHARE = 0.25
+# Triangles that may be added to all objects together. Where the shares above would add more, the shortest edges are
+# lengthened first: small objects among many are cut less, and large ones beside them as before.
+_MOST_ON_OBJECTS = 1 << 16
 # A triangle is cut into at most the square of this many equal ones. A longer one is first quartered repeatedly, and
 # only the quarters beside the object are cut further: a small spot does not cut a whole plain finely.
-_EQUAL_PARTS = 32
+_EQUAL_PARTS = 8
 # Triangles added by cutting the largest ones: this share of all, at least the number.
 _MORE_SHARE, _MORE = 0.2, 1000
 # Only triangles larger than this many times the surface's typical area count as large.
@@ -33,22 +36,21 @@ _CUTS = {
 }
 
 
-def refined(terrain: Sequence[Surface], objects: Sequence[Surface]) -> tuple[list[Surface], list[Surface]]:
+def refined(
+    terrain: Sequence[Surface], objects: Sequence[Surface], beside: Sequence[Surface] = ()
+) -> tuple[list[Surface], list[Surface]]:
     """Return (terrain, objects) with the same shapes and smaller triangles.
 
-    No edge is longer than 1/16 of the extent of the object that a triangle belongs to or is beside.
+    No edge is longer than 1/16 of the extent of the object that a triangle belongs to or is beside, or than an edge
+    that keeps the number of triangles bounded. What is only `beside` the terrain refines it and is not returned.
     """
-    around = [_around(item) for item in objects]
-    quartered = [_quartered(surface, around) for surface in terrain]
-    limits = [np.full(len(surface.faces), np.inf) for surface, _ in quartered]
-    for box, edge in around:
-        for (_, extents), limit in zip(quartered, limits, strict=True):
-            near = extents.near(box)
-            limit[near] = np.minimum(limit[near], edge)
-    finer = [_split(surface, limit, of.longest) for (surface, of), limit in zip(quartered, limits, strict=True)]
-    return finer, [
+    least = _least_edge(objects)
+    edges = [max(_EDGE_SHARE * _extent(item), least) for item in objects]
+    around = [*zip(map(_box, objects), edges, strict=True)]
+    around += [(_box(item), max(_EDGE_SHARE * _extent(item), least)) for item in beside]
+    return [_finer(surface, around) for surface in terrain], [
         _split(item, np.full(len(item.faces), edge), _longest(item.vertices[item.faces]))
-        for item, (_, edge) in zip(objects, around, strict=True)
+        for item, edge in zip(objects, edges, strict=True)
     ]
 
 
@@ -134,49 +136,34 @@ def _bisected(surface: Surface, large: NDArray[np.bool_]) -> tuple[Surface, NDAr
     return surface, whole
 
 
-@dataclass(frozen=True, eq=False)
-class _Extents:
-    """Bounds of each triangle along x, y, z, (3, F) contiguous, and its longest edge, (F,) [m]."""
+def _least_edge(objects: Sequence[Surface]) -> float:
+    """Shortest limit of an edge with which all objects together gain at most `_MOST_ON_OBJECTS` triangles [m]."""
+    if not objects:
+        return 0.0
+    longest = np.concatenate([_longest(item.vertices[item.faces]) for item in objects])
+    own = np.repeat([_EDGE_SHARE * _extent(item) for item in objects], [len(item.faces) for item in objects])
 
-    low: _Floats
-    high: _Floats
-    longest: _Floats
+    def added(edge: float) -> float:
+        return float((np.ceil(longest / np.maximum(own, edge) - 1e-9).clip(1.0) ** 2 - 1.0).sum())
 
-    @classmethod
-    def of(cls, corner: _Floats) -> "_Extents":
-        """Return the extents of triangles by their corners (F, 3 corners, 3)."""
-        a, b, c = corner.transpose(1, 2, 0)
-        low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
-        return cls(np.ascontiguousarray(low), np.ascontiguousarray(high), _longest(corner))
-
-    def near(self, box: _Box) -> NDArray[np.bool_]:
-        """Return which triangles may reach into a box, (F,)."""
-        inside = np.ones(len(self.longest), bool)
-        for low, high, first, last in zip(self.low, self.high, *box, strict=True):
-            inside &= (low <= last) & (high >= first)
-        return inside
-
-    def large_near(self, box: _Box, edge: float) -> NDArray[np.intp]:
-        """Return the numbers of triangles that may reach into a box and have an edge longer than `edge`."""
-        large = np.flatnonzero(self.longest > edge)
-        return large[_Extents(self.low[:, large], self.high[:, large], self.longest[large]).near(box)]
-
-    def replaced(self, whole: NDArray[np.bool_], corner: _Floats) -> "_Extents":
-        """Return the extents of the `whole` triangles followed by those of new ones."""
-        new = _Extents.of(corner)
-        return _Extents(
-            np.concatenate([self.low[:, whole], new.low], axis=1),
-            np.concatenate([self.high[:, whole], new.high], axis=1),
-            np.concatenate([self.longest[whole], new.longest]),
-        )
+    if added(0.0) <= _MOST_ON_OBJECTS:
+        return 0.0
+    low, high = np.log2(own.min()), np.log2(longest.max())
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if added(np.exp2(middle)) <= _MOST_ON_OBJECTS else (middle, high)
+    return float(np.exp2(high))
 
 
-def _around(item: Surface) -> tuple[_Box, float]:
-    """(box of what is beside an object, longest edge allowed in it [m])."""
+def _extent(item: Surface) -> float:
+    return float(np.ptp(item.vertices, axis=0).max())
+
+
+def _box(item: Surface) -> _Box:
+    """The box of what is beside an object."""
     low, high = item.vertices.min(axis=0), item.vertices.max(axis=0)
-    extent = float((high - low).max())
-    margin = _MARGIN_SHARE * extent
-    return (low - margin, high + margin), _EDGE_SHARE * extent
+    margin = _MARGIN_SHARE * float((high - low).max())
+    return low - margin, high + margin
 
 
 def _longest(corner: _Floats) -> _Floats:
@@ -185,18 +172,33 @@ def _longest(corner: _Floats) -> _Floats:
     return edge.max(axis=1)
 
 
-def _quartered(surface: Surface, around: Sequence[tuple[_Box, float]]) -> tuple[Surface, _Extents]:
-    """(surface, its extents) with triangles beside objects quartered until `_EQUAL_PARTS` suffice."""
-    extents = _Extents.of(surface.vertices[surface.faces])
-    for box, edge in around:
-        while len(far := extents.large_near(box, _EQUAL_PARTS * edge)):
-            limit = np.full(len(surface.faces), np.inf)
-            limit[far] = 0.5 * extents.longest[far]
-            surface = _split(surface, limit, extents.longest)
-            whole = np.isinf(limit)
-            new = surface.faces[np.count_nonzero(whole) :]
-            extents = extents.replaced(whole, surface.vertices[new])
-    return surface, extents
+def _finer(surface: Surface, around: Sequence[tuple[_Box, float]]) -> Surface:
+    """A surface without edges longer than those allowed in boxes, quartered until `_EQUAL_PARTS` suffice."""
+    longest, limit = np.empty(0), np.empty(0)
+    while True:
+        # Triangles that were cut come last.
+        corner = surface.vertices[surface.faces[len(limit) :]]
+        longest = np.concatenate([longest, _longest(corner)])
+        limit = np.concatenate([limit, _allowed(corner, around)])
+        far = longest > _EQUAL_PARTS * limit
+        if not far.any():
+            return _split(surface, limit, longest)
+        surface = _split(surface, np.where(far, 0.5 * longest, np.inf), longest)
+        longest, limit = longest[~far], limit[~far]
+
+
+def _allowed(corner: _Floats, around: Sequence[tuple[_Box, float]]) -> _Floats:
+    """Longest edge allowed in triangles (F, 3 corners, 3), (F,) [m]: the shortest of the boxes that they may reach."""
+    a, b, c = corner.transpose(1, 2, 0)
+    low = np.ascontiguousarray(np.minimum(np.minimum(a, b), c))
+    high = np.ascontiguousarray(np.maximum(np.maximum(a, b), c))
+    limit = np.full(len(corner), np.inf)
+    for (first, last), edge in around:
+        near = np.flatnonzero((low[0] <= last[0]) & (high[0] >= first[0]))
+        for k in (1, 2):
+            near = near[(low[k][near] <= last[k]) & (high[k][near] >= first[k])]
+        limit[near] = np.minimum(limit[near], edge)
+    return limit
 
 
 def _split(surface: Surface, limit: _Floats, longest: _Floats) -> Surface:

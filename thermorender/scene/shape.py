@@ -70,7 +70,7 @@ def shape_of(files: SceneFiles, placements: Sequence[Placement], held: Held, whe
     highest = max(float(surface.vertices[:, 2].max()) for surface in (*files.ground, *static, *along))
     # The light beside many copies is not resolved by finer ground: the budget has its error.
     bodies = [surface for surface in static if surface.instances is None]
-    finer, done = refined(files.ground, bodies + along)
+    finer, done = refined(files.ground, bodies, along)
     whole = iter(done)
     static = [next(whole) if surface.instances is None else surface for surface in static]
     return Shape(

@@ -58,7 +58,7 @@ class Case:
 
 
 def chosen() -> list[Case]:
-    """Return the ten chosen cases."""
+    """Return the eleven chosen cases."""
     # The foot lies in the middle of terrain triangles.
     wall = {"size": [2.0, 30.0, 8.0], "position": [-5.5, 0.0, 0.0]}
     other = {"size": [2.0, 30.0, 8.0], "position": [0.5, 0.0, 0.0]}
@@ -88,6 +88,7 @@ def chosen() -> list[Case]:
         case("car of three boxes", "asphalt", car, down=False, post_m=0.5),
         Case("village with cars", _land("village", 5151), _village),
         Case("sunken posts as copies", _posts(steel), _oblique),
+        case("a hundred small boxes", steel, _small(100), down=False),
     ]  # fmt: skip
 
 
@@ -139,6 +140,16 @@ def _lands(random):
 def _box(name, size, position, kelvin, material="concrete", yaw_deg=0.0):
     return {"name": name, "shape": "box", "size": size, "position": position, "yaw_deg": yaw_deg,
             "temperature": kelvin, "material": material}  # fmt: skip
+
+
+def _small(count):
+    """Boxes of 0.2 to 0.4 m on a grid of 1 m: more triangles than objects may add."""
+    random = np.random.Generator(np.random.Philox(7))
+    return [
+        _box(f"small{k}", [float(v) for v in random.uniform(0.2, 0.4, 3)], [k % 10 - 6.5, k // 10 - 4.5, 0.0],
+             float(random.uniform(280.0, 360.0)), str(random.choice(_BODIES)), float(random.uniform(0.0, 90.0)))
+        for k in range(count)
+    ]  # fmt: skip
 
 
 def _down(scene):

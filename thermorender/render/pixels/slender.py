@@ -46,35 +46,36 @@ class Rectangles:
 
 def boxes(surfaces: Sequence[Surface]) -> Floats:
     """Return the corners of boxes round the connected parts of surfaces, (n, 8, 3) [m]."""
-    found = []
+    # Leaves thinner than a pixel are many in each, so that its rays find them as they find a texture.
+    whole, count = list[tuple[Floats, NDArray[np.integer]]](), 0
     for surface in surfaces:
-        if surface.instances is not None:
-            # Leaves thinner than a pixel are many in each, so that its rays find them as they find a texture.
-            continue
-        vertices, _, part = connected(surface)
-        count = int(part.max(initial=-1)) + 1
-        order = np.argsort(part, kind="stable")
-        vertices, part = vertices[order], part[order]
-        first = np.flatnonzero(np.diff(part, prepend=-1))
-        middle = np.add.reduceat(vertices, first) / np.bincount(part)[:, None]
-        offset = vertices - middle[part]
-        axes = np.linalg.eigh(np.add.reduceat(np.einsum("vi,vj->vij", offset, offset), first))[1]
-        # The axes of a part as wide as long are arbitrary, so the smallest of several rotated boxes is taken.
-        least, best = np.full(count, np.inf), np.empty((count, 8, 3))
-        for turn in _TURNS:
-            turned = axes @ turn
-            along = np.einsum("vi,vij->vj", offset, turned[part])
-            low, high = np.minimum.reduceat(along, first), np.maximum.reduceat(along, first)
-            # By volume, and for flat parts by area.
-            side = high - low
-            size = side.prod(axis=1) + _FLAT * side.max(axis=1) * (side.sum(axis=1) ** 2 - (side**2).sum(axis=1))
-            corner = 0.5 * (low + high)[:, None] + 0.5 * side[:, None] * _CORNERS
-            smaller = size < least
-            least[smaller] = size[smaller]
-            best[smaller] = (middle[:, None] + np.einsum("pcj,pij->pci", corner, turned))[smaller]
-        # Single vertices without a face are left out.
-        found.append(best[np.bincount(part) > 1])
-    return np.concatenate(found) if found else np.empty((0, 8, 3))
+        if surface.instances is None:
+            vertices, _, part = connected(surface)
+            order = np.argsort(part, kind="stable")
+            whole.append((vertices[order], part[order] + count))
+            count = int(whole[-1][1].max(initial=count - 1)) + 1
+    if not count:
+        return np.empty((0, 8, 3))
+    vertices, part = (np.concatenate(values) for values in zip(*whole, strict=True))
+    first = np.flatnonzero(np.diff(part, prepend=-1))
+    middle = np.add.reduceat(vertices, first) / np.bincount(part)[:, None]
+    offset = vertices - middle[part]
+    axes = np.linalg.eigh(np.add.reduceat(np.einsum("vi,vj->vij", offset, offset), first))[1]
+    # The axes of a part as wide as long are arbitrary, so the smallest of several rotated boxes is taken.
+    least, best = np.full(count, np.inf), np.empty((count, 8, 3))
+    for turn in _TURNS:
+        turned = axes @ turn
+        along = np.einsum("vi,vij->vj", offset, turned[part])
+        low, high = np.minimum.reduceat(along, first), np.maximum.reduceat(along, first)
+        # By volume, and for flat parts by area.
+        side = high - low
+        size = side.prod(axis=1) + _FLAT * side.max(axis=1) * (side.sum(axis=1) ** 2 - (side**2).sum(axis=1))
+        corner = 0.5 * (low + high)[:, None] + 0.5 * side[:, None] * _CORNERS
+        smaller = size < least
+        least[smaller] = size[smaller]
+        best[smaller] = (middle[:, None] + np.einsum("pcj,pij->pci", corner, turned))[smaller]
+    # Single vertices without a face are left out.
+    return best[np.bincount(part) > 1]
 
 
 def connected(surface: Surface) -> tuple[Floats, NDArray[np.integer], NDArray[np.integer]]:
