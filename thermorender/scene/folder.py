@@ -182,18 +182,15 @@ def _with_classes(spec: SceneSpec, files: SceneFiles, where: str) -> tuple[Textu
     paths = [None if one is None else one.classes for one in own]
     rest = [k for k, one in enumerate(own) if one is None and textures[k].size]
     found = list(textures)
-    if spec.emissivity.source == "classes" and raster and on_map(raster):
-        if files.map_view is None:
-            raise ThermorenderError(
-                f"{where}: emissivity.raster lies on a map, and this mesh has no place on it; add [frame] with "
-                "latitude_deg, longitude_deg and height_m"
-            )
-        numbers = _classes(spec, files.map_view.grid, where)
+    classed = raster if spec.emissivity.source == "classes" else None
+    map_view = files.map_view if classed and on_map(classed) else None
+    if map_view is not None:
+        numbers = _classes(spec, map_view.grid, where)
         for k in rest:
-            shown = files.map_view.seen(k)
+            shown = map_view.seen(k)
             if shown.any():
-                found[k] = replace(textures[k], classes=files.map_view.onto(k, numbers), shown=shown)
-    elif spec.emissivity.source == "classes" and raster:
+                found[k] = replace(textures[k], classes=map_view.onto(k, numbers), shown=shown)
+    elif classed:
         if len(rest) != 1:
             listed = shortened(", ".join(repr(files.ground[k].name) for k in rest), 300) or "none"
             raise ThermorenderError(
@@ -201,7 +198,7 @@ def _with_classes(spec: SceneSpec, files: SceneFiles, where: str) -> tuple[Textu
                 f"without another material ({listed}); give each its raster as classes in a [[surface]], or a raster "
                 "with a CRS, which lies on the map"
             )
-        paths[rest[0]] = raster
+        paths[rest[0]] = classed
     for k, path in enumerate(paths):
         if path is not None:
             numbers = onto_texels(read_classes(path).astype(np.uint8), path, files.ground[k], textures[k])
