@@ -174,7 +174,7 @@ def test_two_textures_of_a_mesh_share_learned_materials(folder):
     Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(folder / "east.png")
     with pytest.raises(ThermorenderError, match=r"texture of surface 'm:east' has texels of 5 m, but emissivity"):
         scene(folder, learned)
-    with pytest.raises(ThermorenderError, match=r"emissivity\.known lies on a map, and this terrain is a mesh"):
+    with pytest.raises(ThermorenderError, match=r"emissivity\.known lies on a map, and this mesh has no place on it"):
         scene(folder, learned + 'known = "m.obj"\n')
 
 
@@ -298,7 +298,7 @@ def test_maps_on_the_ground_say_what_a_mesh_has_instead(folder):
     found = scene(folder)
     with pytest.raises(ThermorenderError, match=r"is a mesh, .* give emissivity.source='learned' .* or class rasters"):
         write_map(folder, folder)
-    with pytest.raises(ThermorenderError, match="for a mesh use with_material"):
+    with pytest.raises(ThermorenderError, match="or name a part of the mesh in with_material"):
         found.with_material_in([[0, 0], [5, 0], [5, 5]], "asphalt")
 
 

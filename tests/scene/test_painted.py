@@ -111,7 +111,7 @@ def test_wrong_areas_are_refused_in_one_sentence(scene, tmp_path):
         (scene, (plain,), "has a polygon without the property 'material'; give a material"),
         (scene, (ROOF, "aspalt"), "with_material_in: material uses material .aspalt."),
         (scene, (ROOF, 2.0), "with_material_in: material=2.0 is not allowed; give an emissivity above 0 and up to 1"),
-        (box, (ROOF, 0.9), "needs a terrain of an elevation raster"),
+        (box, (ROOF, 0.9), r"needs a terrain with a place on a map; add \[frame\]"),
     ]
     for own, arguments, words in cases:
         with pytest.raises(tr.ThermorenderError, match=words) as found:

@@ -1,7 +1,8 @@
 """The material of each texel and object: emissivity of the scene file, replacements by edits, and spectral bands."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +13,9 @@ from thermorender.materials import library as material_tables
 from thermorender.materials.material import Material, grey
 from thermorender.materials.mixture import parts_of
 from thermorender.scene.folder import SceneFiles
-from thermorender.scene.material_map import Picture, context_of, learned_materials, model_of
+from thermorender.scene.map_view import MapView
+from thermorender.scene.mapped_cover import MappedCover, read_mapped_cover
+from thermorender.scene.material_map import Context, Picture, context_of, learned_materials, model_of
 from thermorender.scene.patch import Patch
 from thermorender.scene.spec import EmissivitySpec, SurfaceSpec
 from thermorender.scene.surface import (
@@ -26,7 +29,8 @@ from thermorender.scene.surface import (
     nearest_valid,
     open_share,
 )
-from thermorender.scene.textures import areas, named, separate, stating, used_texels
+from thermorender.scene.terrain import texel_size_m
+from thermorender.scene.textures import Texture, areas, named, separate, stating, used_texels
 
 # New materials by what they replace: a class number, a material's name, or "object:" or "surface:" and a name.
 Replaced = Mapping[int | str, Material]
@@ -113,7 +117,10 @@ def cover_of(files: SceneFiles, covering: Covering, snow: bool, where: str) -> C
         ground = _mesh_cover(files, emissivity, surfaces, materials, report, no_snow)
     else:
         ground = [_raster_cover(files, files.ground[0], emissivity, materials, report, no_snow)]
-        ground = [_painted(ground[0], painted, materials, files.colour is None)]
+    if painted:
+        # A mesh has its own colours.
+        coloured = files.grid is not None and files.colour is None
+        ground = [_painted(own, k, files.map_view, painted, materials, coloured) for k, own in enumerate(ground)]
     numbers = tuple(materials.index(material, f"object {name!r}", OBJECT + name) for name, material in objects)
     for key in materials.unused:
         known = dict.fromkeys(part.name for each in materials.used for part, _ in parts_of(each))
@@ -218,7 +225,7 @@ def _mesh_cover(
         elif own is not None and own.material is not None:
             number = materials.index(own.material, f"surface {own.name!r}")
         elif texture.classes is not None:
-            painted, share = _of_class_raster(surface, texture.classes, emissivity, materials)
+            painted, share = _of_class_raster(surface, texture, emissivity, materials)
             missing.append((share, float(areas(surface).sum())))
             found.append(painted)
             continue
@@ -242,12 +249,20 @@ def _mesh_cover(
 
 
 def _of_class_raster(
-    surface: Surface, classes: NDArray[np.uint8], emissivity: EmissivitySpec, materials: MaterialList
+    surface: Surface, texture: Texture, emissivity: EmissivitySpec, materials: MaterialList
 ) -> tuple[Painted, float]:
-    """(Painted, share without a class) of a mesh's surface by the class numbers (h, w) of its texels."""
+    """(Painted, share without a class) of a mesh's surface by the class numbers (h, w) of its texels.
+
+    What a map does not show, such as the ground below a roof, has the nearest class.
+    """
+    assert texture.classes is not None
     used, everywhere = used_texels(surface), np.ones(surface.flags.shape, bool)
+    if texture.shown is not None:
+        used &= texture.shown
     name = f"the class raster of surface {surface.name!r}"
-    material, known, unknown, share = _of_classes(classes, everywhere, used, name, emissivity, materials)
+    material, known, unknown, share = _of_classes(texture.classes, everywhere, used, name, emissivity, materials)
+    if texture.shown is not None:
+        known &= texture.shown
     if not known.all():
         material = fill(material, nearest_valid(known))
     flags = surface.flags | np.where(known | ~used, 0, FILLED) | np.where(unknown & used, UNKNOWN, 0)
@@ -283,14 +298,18 @@ def _learned_mesh(
             f"{materials.where}: emissivity.source='learned' reads materials from textures, and this mesh has none; "
             "bake its colours into a texture, or give materials in [[surface]] tables"
         )
-    pictures = []
+    pictures: list[Picture] = []
+    known = _known_on_mesh(files, emissivity.known, materials.where) if emissivity.known else None
     for k in pictured:
         surface = files.ground[k]
         used = used_texels(surface)
         colour = surface.colour if used.all() else fill(surface.colour, nearest_valid(used))
-        pictures.append(
-            Picture(colour, used, surface.texel_m, name=f"{materials.where}: the texture of surface {surface.name!r}")
-        )
+        context = None
+        if known is not None and files.map_view is not None:
+            own = replace(known, number=files.map_view.onto(k, known.number))
+            context = Context(None, own, () if pictures else known.notes)
+        name = f"{materials.where}: the texture of surface {surface.name!r}"
+        pictures.append(Picture(colour, used, surface.texel_m, context, name))
     number, unknown = _learned(pictures, emissivity, materials, report, no_snow)
     assert emissivity.fallback is not None
     rest = materials.index(emissivity.fallback, "emissivity.fallback")
@@ -305,16 +324,32 @@ def _learned_mesh(
     return found
 
 
-def _painted(own: Painted, painted: Sequence[Patch], materials: MaterialList, coloured: bool) -> Painted:
-    """Return the cover with the materials of patches, and with their colours where materials give these."""
-    material, colour, flags = own.material, own.colour, own.flags
-    if painted:
-        material, colour, flags = material.copy(), colour.copy(), flags.copy()
+def _known_on_mesh(files: SceneFiles, path: Path, where: str) -> MappedCover:
+    """The MappedCover of a GeoJSON on the cells of a mesh's map."""
+    if files.map_view is None or files.frame is None:
+        raise ThermorenderError(
+            f"{where}: emissivity.known restricts what is seen from above, and this mesh has walls or leaves only; "
+            "leave it out"
+        )
+    grid = files.map_view.grid
+    return read_mapped_cover(path, grid, texel_size_m(grid, files.frame), walls=True)
+
+
+def _painted(
+    own: Painted, number: int, map_view: MapView | None, painted: Sequence[Patch], materials: MaterialList,
+    coloured: bool,
+) -> Painted:  # fmt: skip
+    """The cover of a surface with the materials of patches, and with their colours where materials give these."""
+    assert map_view is not None
+    material, colour, flags = own.material.copy(), own.colour, own.flags.copy()
+    colour = colour.copy() if coloured else colour
     for patch in painted:
-        material[patch.texels] = materials.add(patch.material)
-        flags[patch.texels] &= ~np.uint8(UNKNOWN)
+        texels = map_view.onto(number, patch.cells)
+        if texels.any():
+            material[texels] = materials.add(patch.material)
+            flags[texels] &= ~np.uint8(UNKNOWN)
         if coloured:
-            colour[patch.texels] = patch.material.colour
+            colour[texels] = patch.material.colour
     return Painted(material, colour, flags)
 
 

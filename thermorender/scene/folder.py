@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,14 @@ from thermorender.errors import ThermorenderError, ThermorenderWarning, shortene
 from thermorender.materials import library as material_tables
 from thermorender.materials.material import Material
 from thermorender.physics.geodesy import FARTHEST_M, LocalFrame
-from thermorender.scene import terrain
+from thermorender.scene import map_view, terrain
+from thermorender.scene.georeference import place_of
 from thermorender.scene.instances import read_places
+from thermorender.scene.map_view import MapView
 from thermorender.scene.meshes import mesh
 from thermorender.scene.meshes.axes import object_doubts, terrain_doubts, vector_area
 from thermorender.scene.orthophoto import read_colour
-from thermorender.scene.raster import Grid, bounds_in, grid_of, onto, read_classes
+from thermorender.scene.raster import Grid, bounds_in, grid_of, on_map, onto, read_classes
 from thermorender.scene.spec import ObjectSpec, SceneSpec
 from thermorender.scene.surface import FILLED, SURFACE, Surface
 from thermorender.scene.textures import Texture, areas, named, onto_texels, stating, texel_size_m
@@ -42,6 +45,14 @@ class SceneFiles:
     textures: tuple[Texture, ...] = ()  # One per surface of a mesh; empty for a raster terrain
     # ((h, w) float64 the elevation raster beside an orthophoto
     height: tuple[NDArray[np.float64], Grid] | None = None
+
+    @cached_property
+    def map_view(self) -> MapView | None:
+        """The terrain as a map shows it; None for a mesh without [frame], and for one of walls and leaves only."""
+        if self.grid is not None:
+            return map_view.of_raster(self.grid)
+        place = place_of(self.frame, None)
+        return None if place is None else map_view.of_mesh(self.ground, self.textures, place)
 
 
 def read_files(spec: SceneSpec, where: str) -> SceneFiles:
@@ -177,38 +188,46 @@ def _mesh_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]) 
     names = [one.name for one in spec.surfaces]
     parts = mesh.load(spec.terrain.mesh, spec.folder, names, spec.terrain.axes)
     ground = tuple(_part_surface(part) for part in parts)
-    textures = _with_classes(spec, ground, [Texture(part.names, part.texture) for part in parts], where)
+    textures = tuple(Texture(part.names, part.texture) for part in parts)
     unseen = [one is not None and one.inferred for one in stating(textures, spec.surfaces, ("inferred",), where)]
     ground = tuple(
         replace(surface, flags=surface.flags | np.uint8(FILLED)) if inferred else surface
         for surface, inferred in zip(ground, unseen, strict=True)
     )
     frame = LocalFrame(*spec.frame) if spec.frame else None
-    return SceneFiles(frame, None, ground, None, None, None, None, None, (), library, textures)
+    files = SceneFiles(frame, None, ground, None, None, None, None, None, (), library, textures)
+    return replace(files, textures=_with_classes(spec, files, where))
 
 
-def _with_classes(
-    spec: SceneSpec, ground: Sequence[Surface], textures: Sequence[Texture], where: str
-) -> tuple[Texture, ...]:
-    """The textures with the class numbers of their rasters."""
+def _with_classes(spec: SceneSpec, files: SceneFiles, where: str) -> tuple[Texture, ...]:
+    """The textures of a mesh with the class numbers of their rasters: those on a map, or in the pixels of one."""
+    textures, raster = files.textures, spec.emissivity.raster
     own = stating(textures, spec.surfaces, ("material", "classes"), where)
     paths = [None if one is None else one.classes for one in own]
-    if spec.emissivity.source == "classes" and spec.emissivity.raster:
-        rest = [k for k, one in enumerate(own) if one is None and textures[k].size]
+    rest = [k for k, one in enumerate(own) if one is None and textures[k].size]
+    found = list(textures)
+    classed = raster if spec.emissivity.source == "classes" else None
+    map_view = files.map_view if classed and on_map(classed) else None
+    if map_view is not None:
+        numbers = _classes(spec, map_view.grid, where)
+        for k in rest:
+            shown = map_view.seen(k)
+            if shown.any():
+                found[k] = replace(textures[k], classes=map_view.onto(k, numbers), shown=shown)
+    elif classed:
         if len(rest) != 1:
-            listed = shortened(", ".join(repr(ground[k].name) for k in rest), 300) or "none"
+            listed = shortened(", ".join(repr(files.ground[k].name) for k in rest), 300) or "none"
             raise ThermorenderError(
                 f"{where}: emissivity.raster is in the pixels of one texture, and the mesh has {len(rest)} textures "
-                f"without another material ({listed}); give each its raster as classes in a [[surface]]"
+                f"without another material ({listed}); give each its raster as classes in a [[surface]], or a raster "
+                "with a CRS, which lies on the map"
             )
-        paths[rest[0]] = spec.emissivity.raster
-    found = []
-    for surface, texture, path in zip(ground, textures, paths, strict=True):
+        paths[rest[0]] = classed
+    for k, path in enumerate(paths):
         if path is not None:
-            numbers = onto_texels(read_classes(path).astype(np.uint8), path, surface, texture)
+            numbers = onto_texels(read_classes(path).astype(np.uint8), path, files.ground[k], textures[k])
             _refuse_unnamed(numbers, path, spec, where)
-            texture = replace(texture, classes=numbers)
-        found.append(texture)
+            found[k] = replace(textures[k], classes=numbers)
     return tuple(found)
 
 

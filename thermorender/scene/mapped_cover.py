@@ -88,11 +88,14 @@ def _allows(case: tuple[str, ...] | str, material: str) -> bool:
     return material == case if isinstance(case, str) else not kinds or bool({*case, "snow"} & {*kinds})
 
 
-def read_mapped_cover(path: Path, grid: Grid, texel_m: float) -> MappedCover:
+def read_mapped_cover(
+    path: Path, grid: Grid, texel_m: float, walls: bool = False, required: bool = True
+) -> MappedCover:  # fmt: skip
     """Return the MappedCover of a GeoJSON of OpenStreetMap tags, or of polygons with a property "material".
 
     Coordinates are longitude and latitude, or those of the "crs" member. `texel_m` is the side of a texel of `grid`
-    [m].
+    [m]. With `walls` a building's material is that of its walls. A file that restricts nothing is refused, or has no
+    cases where it is not `required` to.
     """
     features, crs = read_features(path)
     left_out: Counter[str] = Counter()
@@ -100,7 +103,7 @@ def read_mapped_cover(path: Path, grid: Grid, texel_m: float) -> MappedCover:
     shapes = []
     for number, feature in enumerate(features, 1):
         geometry, tags = tagged(feature, path, number)
-        found = _ruled(tags)
+        found = _ruled(tags, walls)
         if found is None:
             silent[_named(tags)] += 1
             continue
@@ -118,7 +121,7 @@ def read_mapped_cover(path: Path, grid: Grid, texel_m: float) -> MappedCover:
         else:
             line_px = None if as_area or width is None else width / texel_m
             shapes.append((order, number, geometry, case, name, line_px))
-    return _burnt(path, crs, grid, shapes, left_out, silent)
+    return _burnt(path, crs, grid, shapes, left_out, silent, required)
 
 
 def _empty(coordinates: Any) -> bool:
@@ -127,8 +130,9 @@ def _empty(coordinates: Any) -> bool:
 
 
 def _burnt(
-    path: Path, crs: Any, grid: Grid, shapes: Sequence[Any], left_out: Counter[str], silent: Counter[str]
-) -> MappedCover:
+    path: Path, crs: Any, grid: Grid, shapes: Sequence[Any], left_out: Counter[str], silent: Counter[str],
+    required: bool,
+) -> MappedCover:  # fmt: skip
     """The MappedCover of shapes [(order, number, geometry, case, name, width [texels] or None)]."""
     number = np.zeros((grid.height, grid.width), np.uint8)
     cases: dict[tuple[str, ...] | str, int] = {}
@@ -146,6 +150,8 @@ def _burnt(
         used += 1
         number[part][inside] = cases.setdefault(case, len(cases) + 1)
         by_name.setdefault(name, np.zeros(number.shape, bool))[part] |= inside
+    if not used and not required:
+        return MappedCover(number, (), ())
     if not used:
         reasons = counted(left_out + silent) or "it has no feature"
         raise ThermorenderError(
@@ -199,9 +205,9 @@ def underground(tags: Mapping[str, str]) -> bool:
     return tags.get("tunnel", "no") not in ("no", "building_passage") or tags.get("location") == "underground"
 
 
-def _ruled(tags: Mapping[str, str]) -> tuple[int, tuple[str, ...] | str, str] | None:
-    """(order, case, name) of the last rule for some tags, or None."""
-    if "material" in tags:
+def _ruled(tags: Mapping[str, str], walls: bool) -> tuple[int, tuple[str, ...] | str, str] | None:
+    """(order, case, name) of the last rule for some tags, or None; with `walls`, a building's material is theirs."""
+    if "material" in tags and not (walls and tags.get("building", "no") != "no"):
         return len(RULES), tags["material"], f"material={tags['material']}"
     for order, (key, values, kinds) in reversed(list(enumerate(RULES))):
         value = tags.get(key, "no")

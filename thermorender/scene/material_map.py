@@ -121,14 +121,15 @@ def learned_materials(
     model, notes = model_of(source, library, where, no_snow)
     of = f"emissivity map {model.name!r}"
     contexts = [one.context for one in pictures if one.context]
-    names = [*model.materials, *(name for one in contexts if one.known for name in one.known.beyond(model.materials))]
+    known = [one.known for one in contexts if one.known]
+    names = list(dict.fromkeys([*model.materials, *(name for one in known for name in one.beyond(model.materials))]))
     own = _in_band([material_tables.find(library, name, of) for name in names], library, band_um, of, where)
     fallback = material_tables.find(library, source.fallback, f"{where}: emissivity.fallback")
     index, share, probability, confidence = _mapped(model, pictures, names)
     valid = np.concatenate([one.valid.ravel() for one in pictures])
     unknown = valid & (confidence < source.confidence)
-    known = [one.context.known for one in pictures if one.context and one.context.known]
-    group = known[0].number.ravel() if known else None
+    # Pictures of a scene have the same cases, or none of them has any.
+    group = np.concatenate([one.number.ravel() for one in known]) if known else None
     number, used, error = palette(index, share, probability, own, band_um, _MOST_MIXES, group)
     number[unknown] = len(used)
     # The fallback is not learned.

@@ -1,4 +1,4 @@
-"""Areas of the terrain whose material an edit names: polygons of a map or of the local frame, on the texels."""
+"""Areas of the terrain whose material an edit names: polygons of a map or of the local frame, on the cells of a map."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,9 +23,9 @@ _FARTHEST_PX = 1e12
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """The texels of an area, (h, w) bool, and their new material."""
+    """The cells of a scene's map that an area covers, (h, w) bool, and their new material."""
 
-    texels: NDArray[np.bool_]
+    cells: NDArray[np.bool_]
     material: Material
 
 

@@ -136,6 +136,12 @@ def grid_of(path: Path) -> Grid:
         return Grid(dataset.crs, dataset.transform, dataset.height, dataset.width, str(path))
 
 
+def on_map(path: Path) -> bool:
+    """Return whether a raster file has a CRS and a position, unlike a picture."""
+    with opened(path) as dataset:
+        return dataset.crs is not None and not dataset.transform.is_identity
+
+
 def bounds_in(crs: Any, grid: Grid) -> tuple[float, float, float, float]:
     """Return a Grid's (left, bottom, right, top) in the units of another map."""
     from rasterio.warp import transform_bounds

@@ -708,6 +708,9 @@ class Scene:
     ) -> "Scene":  # fmt: skip
         """Return this scene with another material within an area of its terrain, such as one roof.
 
+        On a mesh, the area covers what is seen from above: roofs hide the ground below them, and walls and leaves keep
+        their materials.
+
         Parameters
         ----------
         area : path, dict or (N, 2) array
@@ -720,10 +723,16 @@ class Scene:
         """
         now, files = self._declared, self._declared.files
         place = place_of(files.frame, files.grid) if files else None
-        if files is None or files.grid is None or place is None:
+        if files is None or place is None:
+            how = "edit the scene before with_surfaces" if files is None else (
+                "add [frame] with latitude_deg, longitude_deg and height_m, or name a part of the mesh in with_material"
+            )  # fmt: skip
+            raise ThermorenderError(f"{now.where}: with_material_in needs a terrain with a place on a map; {how}")
+        map_view = files.map_view
+        if map_view is None:
             raise ThermorenderError(
-                f"{now.where}: with_material_in needs a terrain of an elevation raster that files describe; for a mesh "
-                "use with_material"
+                f"{now.where}: with_material_in changes what is seen from above, and this mesh has walls or leaves "
+                "only; name a part of it in with_material"
             )
         name = f"area {area}" if isinstance(area, (str, PathLike)) else "with_material_in: the area"
         patches = []
@@ -734,7 +743,12 @@ class Scene:
                     f"{name} has a polygon without the property 'material'; give a material, or name it there"
                 )
             new = material_of("material", chosen, files.library, "with_material_in")
-            patches.append(Patch(texels_in(geometry, files.grid, name), new))
+            cells = texels_in(geometry, map_view.grid, name)
+            if not any(map_view.onto(k, cells).any() for k in range(len(files.ground))):
+                raise ThermorenderError(
+                    f"{name} covers no texel of a ground or roof that is seen from above; draw it on one"
+                )
+            patches.append(Patch(cells, new))
         return self._edited(replace(now, painted=(*now.painted, *patches)))
 
     def refuse_unsolved(self) -> None:

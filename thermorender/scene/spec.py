@@ -482,10 +482,10 @@ class SceneSpec:
                 "[[surface]] names a part of a mesh, and this terrain is an elevation raster; give its materials by "
                 "emissivity.source='classes'"
             )
-        if self.emissivity.known and self.terrain.mesh:
+        if self.emissivity.known and self.terrain.mesh and self.frame is None:
             raise where.error(
-                "emissivity.known lies on a map, and this terrain is a mesh; give the materials of its parts in "
-                "[[surface]]"
+                "emissivity.known lies on a map, and this mesh has no place on it; add [frame] with latitude_deg, "
+                "longitude_deg and height_m, or give the materials of its parts in [[surface]]"
             )
         if self.emissivity.source == "classes" and not (self.terrain.mesh or self.emissivity.raster):
             raise where.error("emissivity.raster is missing; source='classes' needs it")

@@ -17,9 +17,10 @@ from thermorender.apps.lands.import_settings import ImportSettings, ThreeD
 from thermorender.apps.lands.solids.city_model import CityModel
 from thermorender.apps.lands.solids.clouds import SUFFIXES, Cloud, read_cloud
 from thermorender.apps.lands.solids.solid_scene import solid_of, write_solid
+from thermorender.apps.lands.unexplained import Photograph, with_pools, write_unexplained
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic_folder, check_new_folder
-from thermorender.formats import write_text
+from thermorender.formats import write_json, write_text
 from thermorender.materials.extended import within_band
 from thermorender.numbers import parse_numbers
 from thermorender.scene.mapped_cover import read_mapped_cover
@@ -81,19 +82,27 @@ def import_terrain(
         raise ThermorenderError(f"{elevation} has no valid height where {orthophoto} is; give a DEM of the same area")
     texels = picture.grid if picture else posts
     post_m, texel_m = _step(crs, posts), _step(crs, texels)
-    solid, known = None, settings.known
+    solid, known, cover = None, settings.known, None
     if three_d:
         undulation_m = (settings.geoid_undulation_m or 0.0) if reference == "geoid" else 0.0
         solid = solid_of(three_d, height, posts, post_m, undulation_m, known, picture, settings.material,
                          height_grid.crs, cloud)  # fmt: skip
-        notes, known = (*notes, *solid.notes), None
-    if known is not None:
-        notes = (*notes, *read_mapped_cover(known, texels, texel_m).notes)
+        notes, cover = (*notes, *solid.notes), solid.cover
+        known = known if cover is not None and cover.cases else None
+    elif known is not None:
+        cover = read_mapped_cover(known, texels, texel_m)
+    notes = (*notes, *(cover.notes if cover is not None else ()))
+    photograph, shapes = None, None
+    if picture is not None and (day is not None or known is not None):
+        photograph = Photograph(*picture, texel_m, height, posts, post_m)
+        stated_cover = np.zeros(picture.valid.shape, bool) if cover is None else cover.number > 0
+        shapes, stated_cover, words = with_pools(known, stated_cover, photograph)
+        notes = (*notes, *words)
     terrain = {"elevation": "elevation.tif", "orthophoto": "orthophoto.tif" if picture else None,
                "height_reference": reference, "geoid_undulation_m": settings.geoid_undulation_m,
                "fill": settings.fill or None}  # fmt: skip
     tables = {"title": Path(folder).resolve().name, "terrain": terrain}
-    tables |= _sources(picture is not None, day, settings, known)
+    tables |= _sources(picture is not None, day, settings, known is not None or shapes is not None)
     flight_m, flight = _flight(bounds, texel_m)
     with atomic_folder(folder) as part:
         if solid is not None:
@@ -104,8 +113,12 @@ def import_terrain(
             _write_rasters(part, height, posts, picture)
         if settings.weather is not None:
             shutil.copyfile(settings.weather, part / _copied(settings.weather))
-        if known is not None:
+        if shapes is not None:
+            write_json(part / _KNOWN, shapes)
+        elif known is not None:
             shutil.copyfile(known, part / _KNOWN)
+        if photograph is not None:
+            notes = (*notes, *write_unexplained(part, Path(folder), stated_cover, photograph, settings.material))
         made_from = " and ".join(Path(path).name for path in (elevation, orthophoto) if path is not None)
         write_text(part / "scene.toml", toml_text(tables, f"Made from {made_from}."))
         write_text(part / "flight.csv", flight)
@@ -189,14 +202,12 @@ def _copied(weather: Path) -> str:
     return "weather" + Path(weather).suffix
 
 
-def _sources(
-    pictured: bool, weather: dict[str, Any] | None, settings: ImportSettings, known: Path | None
-) -> dict[str, Any]:
+def _sources(pictured: bool, weather: dict[str, Any] | None, settings: ImportSettings, known: bool) -> dict[str, Any]:
     """The scene file's tables of temperatures, materials, weather, sky and camera."""
     found: dict[str, Any] = {"source": "material", "material": settings.material}
-    if pictured and (weather is not None or known is not None):
+    if pictured and (weather is not None or known):
         found = {"source": "learned", "model": defaults.EMISSIVITY_MAP, "fallback": settings.material,
-                 "known": None if known is None else _KNOWN}  # fmt: skip
+                 "known": _KNOWN if known else None}  # fmt: skip
     sky_temperature = settings.sky_temperature
     if weather is not None:
         tables: dict[str, Any] = {"temperature": {"source": "balance"}, "weather": weather, "emissivity": found}

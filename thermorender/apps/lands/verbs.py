@@ -52,7 +52,7 @@ def import_terrain(
         typer.echo(note)
     if three_d:
         typer.echo(_solid_words(summary, solids.walls()[0]))
-    typer.echo(_temperatures(settings, orthophoto is not None))
+    typer.echo(_temperatures(settings, orthophoto is not None, three_d))
     typer.echo(
         f"flight.csv flies along the middle, {summary['flight_m']:.0f} m above the ground; a texel covers one pixel of "
         f"the {defaults.CAMERA} from {summary['texel_m'] * load_camera(defaults.CAMERA).focal_length_px:.0f} m"
@@ -75,7 +75,7 @@ def _solid_words(summary: dict[str, Any], wall: str) -> str:
     return "; ".join(words)
 
 
-def _temperatures(settings: ImportSettings, pictured: bool) -> str:
+def _temperatures(settings: ImportSettings, pictured: bool, three_d: bool) -> str:
     """A sentence on the temperatures of an imported scene."""
     if settings.weather is None:
         source = (
@@ -85,7 +85,8 @@ def _temperatures(settings: ImportSettings, pictured: bool) -> str:
             f"temperatures are a placeholder, {source}: they are not those of this place at any hour; give --weather "
             "FILE --time T for a heat balance, or a raster of kelvin"
         )
-    kind = "read from the orthophoto; map-materials shows them" if pictured else f"{settings.material} everywhere"
+    shown = "" if three_d else "; map-materials shows them"
+    kind = f"read from the orthophoto{shown}" if pictured else f"{settings.material} everywhere"
     return f"temperatures: a heat balance at {settings.time}; materials are {kind}"
 
 

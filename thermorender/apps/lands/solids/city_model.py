@@ -32,6 +32,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.physics.srgb import linear_from_bytes
 from thermorender.scene import terrain
+from thermorender.scene.mapped_cover import MappedCover
 from thermorender.scene.raster import Grid, lon_lat
 from thermorender.scene.surface import fill, nearest_valid
 
@@ -72,6 +73,7 @@ class CityModel:
         TreeType, ...
     ] = ()  # Trees as copies of typical ones; empty where their leaves are among the meshes
     notes: tuple[str, ...] = ()  # On the files it was made from, one sentence each
+    cover: MappedCover | None = None  # What the file of outlines says on materials, too
 
 
 @dataclass(frozen=True)
@@ -247,7 +249,8 @@ def _ground(
     from thermorender.scene.raster import onto
 
     vertices, faces, uv = terrain.mesh(bare, grid, frame, texels)
-    shape = texels.height, texels.width
+    # Posts beyond the last texel would repeat the texture.
+    uv, shape = np.clip(uv, 0.0, 1.0), (texels.height, texels.width)
     colour = np.broadcast_to(np.array(plain, np.uint8), (*shape, 3))
     if picture is not None:
         open_ground = picture[1] & (onto(covered.astype(np.float32), grid, texels, "nearest") != 1.0)

@@ -31,24 +31,26 @@ _LIFTED, _OPEN = ("min_height", "building:min_height", "building:min_level"), ("
 _NO_AREA = 1e-6
 
 
-def outlines_in(path: Path, grid: Grid) -> tuple[list[Outline], tuple[str, ...]]:
+def outlines_in(path: Path, grid: Grid, others: bool = False) -> tuple[list[Outline], tuple[str, ...]]:
     """Return (Outlines of a GeoJSON's buildings and their parts, sentences on what the file states beside them).
 
     Closed lines with such a tag are outlines too, and so are polygons in collections. A part inside a building is one
-    `of` it, and has its tags but for those of its own. Outlines and holes without area are left out and counted.
+    `of` it, and has its tags but for those of its own. Outlines and holes without area are left out and counted. Where
+    `others` have a use, a file may hold other shapes only.
     """
     features, crs = read_features(path)
     found: list[Outline] = []
     left_out: Counter[str] = Counter()
+    beside = areas_beside = 0
     all_tags = [tagged(feature, path, number) for number, feature in enumerate(features, 1)]
     # Footprints from pictures, such as those of Microsoft and Google, have no tags: all polygons are buildings.
-    plain = not any(_MAIN & {key.lower() for key in tags} for _, tags in all_tags)
+    plain = not any({*_MAIN, "material"} & {key.lower() for key in tags} for _, tags in all_tags)
     for number, (geometry, tags) in enumerate(all_tags, 1):
         tags = {"building": "yes"} if plain else tags
         where = f"{path}, feature {number}"
         shapes = list(_polygons(geometry, where))
         if not is_building(tags):
-            left_out.update(["polygons without a tag 'building'"] if shapes else [])
+            beside, areas_beside = beside + 1, areas_beside + bool(shapes)
             continue
         if underground(tags) or not shapes:
             kind = geometry.get("type")
@@ -65,7 +67,9 @@ def outlines_in(path: Path, grid: Grid) -> tuple[list[Outline], tuple[str, ...]]
                 left_out[
                     "with latitude before longitude" if _swapped(shape, crs, grid) else "outside of the model"
                 ] += 1
-    if not found:
+    if areas_beside and not others:
+        left_out["polygons without a tag 'building'"] = areas_beside
+    if not found and not (others and beside):
         raise ThermorenderError(
             f"{path} has no polygon with a tag 'building' on {grid.name} (left out: {counted(left_out) or 'nothing'}); "
             "give one of this area whose buildings have a property building=yes, or leave known out so that buildings "

@@ -17,6 +17,7 @@ from thermorender.apps.lands.solids.textured_mesh import MESH, write_meshes
 from thermorender.apps.lands.solids.tree_types import write_tree_types
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import find, load_library
+from thermorender.scene.mapped_cover import read_mapped_cover
 from thermorender.scene.raster import Grid, onto
 from thermorender.scene.terrain import doubtful_zeros, filled, read_elevation, zero_of_heights
 
@@ -42,22 +43,30 @@ def solid_of(
         bare = bare + undulation_m
     elif cloud is not None and cloud.ground is not None:
         bare = onto(cloud.ground, cloud.grid, grid, "average") + undulation_m
-    outlines = None
+    outlines, cover = None, None
     if known is not None:
-        outlines, stated = _outlines(known, three_d.building_class, grid)
-        notes += stated
-    if known is None and cloud is not None and cloud.building is not None:
+        found, stated = _outlines(known, three_d.building_class, grid, picture is not None)
+        outlines, notes = found or None, notes + stated
+        if picture is not None and three_d.building_class is None:
+            texel_m = float(np.sqrt(abs(picture[2].transform.determinant)))
+            cover = read_mapped_cover(known, picture[2], texel_m, walls=True, required=outlines is None)
+    if outlines is None and cloud is not None and cloud.building is not None:
         house = onto(cloud.building.astype(np.float32), cloud.grid, grid, "nearest") == 1.0
         # A few stray points are no statement on the others.
         outlines = detection.outlines_of(detection.large(house, post_m)) or None
     walls, colour = Walls(wall, wall_by_kind), library[material].colour
     solid = city_model(height + undulation_m, grid, post_m, bare, outlines, picture, colour, walls, library,
                      copies=three_d.copies)  # fmt: skip
-    return replace(solid, notes=notes + solid.notes)
+    return replace(solid, notes=notes + solid.notes, cover=cover)
 
 
-def _outlines(known: Path, number: int | None, grid: Grid) -> tuple[list[detection.Outline], tuple[str, ...]]:
-    """The outlines of a GeoJSON, or of a class of a raster, and sentences on what else the file states."""
+def _outlines(
+    known: Path, number: int | None, grid: Grid, others: bool
+) -> tuple[list[detection.Outline], tuple[str, ...]]:
+    """The outlines of a GeoJSON, or of a class of a raster, and sentences on what else the file states.
+
+    `others` says whether shapes other than buildings have a use.
+    """
     is_raster = known.suffix.lower() not in (".json", ".geojson")
     if is_raster and number is None:
         raise ThermorenderError(
@@ -65,7 +74,7 @@ def _outlines(known: Path, number: int | None, grid: Grid) -> tuple[list[detecti
             "number of its buildings"
         )
     if number is None:
-        return outlines_in(known, grid)
+        return outlines_in(known, grid, others)
     if not is_raster:
         raise ThermorenderError(f"building_class={number} is for a raster, and {known} is a GeoJSON; leave it out")
     return outlines_in_classes(known, number, grid), ()
