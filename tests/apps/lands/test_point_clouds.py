@@ -147,6 +147,15 @@ def test_keys_of_another_unit_than_the_maps_are_refused(tmp_path, unit, refused)
         assert np.nanmax(read_cloud(tmp_path / "k.las").surface) == pytest.approx(26.0)
 
 
+def test_a_map_whose_unit_has_no_length_is_refused(tmp_path):
+    path = written(tmp_path / "a.las")
+    whole = path.read_bytes()
+    assert whole.count(b'UNIT["metre",1') == 1
+    path.write_bytes(whole.replace(b'UNIT["metre",1', b'UNIT["metre",0'))
+    with pytest.raises(ThermorenderError, match="has a map whose unit is 0 m; state it with"):
+        read_cloud(path)
+
+
 @pytest.mark.parametrize(("map_", "level", "unit", "metre"), [
     (32634, 5103, 9001, 1.0), (2903, 5103, 9003, 3937.0 / 1200.0), (2903, 5102, 9003, 3937.0 / 1200.0),
     (32634, 5105, 9001, 1.0),

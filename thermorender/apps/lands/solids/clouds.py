@@ -267,6 +267,8 @@ def _crs_of(path: Path, header: Any) -> tuple[Any, float]:
         raise ThermorenderError(f"{path} has a CRS that cannot be read ({error}); {_STATE}") from None
     if crs is None:
         raise ThermorenderError(f"{path} declares no CRS by an EPSG number or WKT; {_STATE}")
+    if crs.is_projected and not crs.linear_units_factor[1] > 0.0:
+        raise ThermorenderError(f"{path} has a map whose unit is {crs.linear_units_factor[1]:g} m; {_STATE}")
     if not crs.is_projected:
         raise ThermorenderError(
             f"{path} is in {crs.to_string()[:60]}, not on a map; project it, with "
