@@ -36,7 +36,8 @@ def run(precision, ground, act, begin, seconds, count, start_s=0.0):
     for number in range(count):
         at = start_s + number * seconds
         stages = (
-            balance.Forcing(*(array(value) for value in act(at + offset))) for offset in balance.stage_times(seconds)
+            balance.Forcing(*(_each(array, value) for value in act(at + offset)))
+            for offset in balance.stage_times(seconds)
         )
         state, _ = balance.step(xp, state, ground, *stages, length)
         evaluate(state)
