@@ -349,6 +349,17 @@ def test_tags_name_kinds_of_material(tmp_path, tags, kinds):
     assert known.cases == (kinds,)
 
 
+def test_polygons_without_tags_are_buildings_unless_another_feature_has_some(tmp_path):
+    path = write_raster(tmp_path / "o.tif", np.zeros((3, 64, 64), np.uint8), 0.5)
+    footprint = ({"height": 6.0, "confidence": -1.0}, "Polygon", box(2, 2, 9, 9))
+    known = read_mapped_cover(shapes(tmp_path / "a.geojson", footprint), grid_of(path), 0.5)
+    assert known.cases == (("roof",),)
+    assert known.notes[0] == "a.geojson: no feature has a tag of OpenStreetMap, so all polygons are buildings"
+    pool = ({"leisure": "swimming_pool"}, "Polygon", box(12, 12, 19, 19))
+    known = read_mapped_cover(shapes(tmp_path / "b.geojson", footprint, pool), grid_of(path), 0.5)
+    assert known.cases == (("water",),)
+
+
 def test_snow_and_materials_of_unknown_kind_stay_possible_in_every_shape(tmp_path):
     path = write_raster(tmp_path / "o.tif", np.zeros((3, 64, 64), np.uint8), 0.5)
     known = read_mapped_cover(shapes(tmp_path / "a.geojson", HOUSE), grid_of(path), 0.5)

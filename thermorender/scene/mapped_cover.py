@@ -3,7 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +53,11 @@ RULES: tuple[tuple[str, str, tuple[str, ...]], ...] = (
 )  # fmt: skip
 _UNPAVED = ("unpaved", "compacted", "fine_gravel", "gravel", "pebblestone", "ground", "dirt", "earth", "grass", "mud",
             "sand", "rock")  # fmt: skip
+# Main tags of OpenStreetMap that a map of an area has.
+_MAIN = {"building", "building:part", "landuse", "natural", "leisure", "highway", "amenity", "waterway", "water",
+         "landcover", "surface", "barrier", "railway", "man_made", "aeroway", "boundary", "tourism", "place", "shop",
+         "office", "power", "historic", "military", "sport", "public_transport", "route", "craft",
+         "geological"}  # fmt: skip
 _AREAS, _LINES = ("Polygon", "MultiPolygon"), ("LineString", "MultiLineString")
 _MOST_NAMED = 5
 # Properties that hold several tags as text, a pair of hstore, and a character that a backslash keeps in one.
@@ -97,12 +102,11 @@ def read_mapped_cover(
     [m]. With `walls` a building's material is that of its walls. A file that restricts nothing is refused, or has no
     cases where it is not `required` to.
     """
-    features, crs = read_features(path)
+    features, crs, notes = tagged_features(path)
     left_out: Counter[str] = Counter()
     silent: Counter[str] = Counter()
     shapes = []
-    for number, feature in enumerate(features, 1):
-        geometry, tags = tagged(feature, path, number)
+    for number, (geometry, tags) in enumerate(features, 1):
         found = _ruled(tags, walls)
         if found is None:
             silent[_named(tags)] += 1
@@ -121,7 +125,8 @@ def read_mapped_cover(
         else:
             line_px = None if as_area or width is None else width / texel_m
             shapes.append((order, number, geometry, case, name, line_px))
-    return _burnt(path, crs, grid, shapes, left_out, silent, required)
+    known = _burnt(path, crs, grid, shapes, left_out, silent, required)
+    return replace(known, notes=(*notes, *known.notes)) if known.cases else known
 
 
 def _empty(coordinates: Any) -> bool:
@@ -169,7 +174,20 @@ def _burnt(
     return MappedCover(number, tuple(cases), tuple(notes))
 
 
-def tagged(feature: Any, path: Path, number: int) -> tuple[dict[str, Any], dict[str, str]]:
+def tagged_features(path: Path) -> tuple[list[tuple[dict[str, Any], dict[str, str]]], Any, tuple[str, ...]]:
+    """Return ([(geometry, tags)], CRS, sentences) of a GeoJSON.
+
+    Footprints from pictures, such as those of Microsoft and Google, have no tags: all of their polygons are buildings.
+    """
+    features, crs = read_features(path)
+    found = [_tagged(feature, path, number) for number, feature in enumerate(features, 1)]
+    if not found or any({*_MAIN, "material"} & {key.lower() for key in tags} for _, tags in found):
+        return found, crs, ()
+    note = f"{path.name}: no feature has a tag of OpenStreetMap, so all polygons are buildings"
+    return [(geometry, {"building": "yes"}) for geometry, _ in found], crs, (note,)
+
+
+def _tagged(feature: Any, path: Path, number: int) -> tuple[dict[str, Any], dict[str, str]]:
     """Return (geometry, tags) of feature `number` of a file; {} for a missing geometry.
 
     Tags are properties, a property "tags", or text in one of `_PACKED`, as GDAL and PostGIS write rarer tags.

@@ -91,7 +91,8 @@ def import_terrain(
         known = known if cover is not None and cover.cases else None
     elif known is not None:
         cover = read_mapped_cover(known, texels, texel_m)
-    notes = (*notes, *(cover.notes if cover is not None else ()))
+    # Outlines and other shapes of one file say the same of it.
+    notes = tuple(dict.fromkeys((*notes, *(cover.notes if cover is not None else ()))))
     photograph, shapes = None, None
     if picture is not None and (day is not None or known is not None):
         photograph = Photograph(*picture, texel_m, height, posts, post_m)

@@ -14,15 +14,11 @@ from thermorender.apps.lands.solids.borders import THIN
 from thermorender.apps.lands.solids.detection import Outline, Ring, area_of, even_odd, outlines_of
 from thermorender.apps.lands.solids.facades import COLOURS, MATERIALS
 from thermorender.errors import ThermorenderError
-from thermorender.scene.mapped_cover import counted, tagged, underground
-from thermorender.scene.patch import pixels_of, read_features
+from thermorender.scene.mapped_cover import counted, tagged_features, underground
+from thermorender.scene.patch import pixels_of
 from thermorender.scene.raster import Grid, grid_of, onto, read_classes
 
 _KEYS = ("building", "building:part")
-# Main tags of OpenStreetMap that a map of an area has.
-_MAIN = {*_KEYS, "landuse", "natural", "leisure", "highway", "amenity", "waterway", "water", "landcover", "surface",
-         "barrier", "railway", "man_made", "aeroway", "boundary", "tourism", "place", "shop", "office", "power",
-         "historic", "military", "sport", "public_transport", "route", "craft", "geological"}  # fmt: skip
 # Values of these tags without a building that stands.
 _NONE = ("no", "false", "0", "entrance", "proposed", "planned", "demolished", "razed", "removed")
 # Tags of a building or part that begins above the ground, and values of `building` without walls.
@@ -38,15 +34,11 @@ def outlines_in(path: Path, grid: Grid, others: bool = False) -> tuple[list[Outl
     `of` it, and has its tags but for those of its own. Outlines and holes without area are left out and counted. Where
     `others` have a use, a file may hold other shapes only.
     """
-    features, crs = read_features(path)
+    features, crs, plain = tagged_features(path)
     found: list[Outline] = []
     left_out: Counter[str] = Counter()
     beside = areas_beside = 0
-    all_tags = [tagged(feature, path, number) for number, feature in enumerate(features, 1)]
-    # Footprints from pictures, such as those of Microsoft and Google, have no tags: all polygons are buildings.
-    plain = not any({*_MAIN, "material"} & {key.lower() for key in tags} for _, tags in all_tags)
-    for number, (geometry, tags) in enumerate(all_tags, 1):
-        tags = {"building": "yes"} if plain else tags
+    for number, (geometry, tags) in enumerate(features, 1):
         where = f"{path}, feature {number}"
         shapes = list(_polygons(geometry, where))
         if not is_building(tags):
@@ -75,7 +67,7 @@ def outlines_in(path: Path, grid: Grid, others: bool = False) -> tuple[list[Outl
             "give one of this area whose buildings have a property building=yes, or leave known out so that buildings "
             "are found by height"
         )
-    notes = [f"{path.name}: no feature has a tag of OpenStreetMap, so all polygons are buildings"] if plain else []
+    notes = [*plain]
     notes += [f"{path.name}: {len(found)} outlines of buildings; left out: {counted(left_out)}"] if left_out else []
     for what, count in (
         ("begin above the ground by their tags, and their walls reach down to it", sum(map(_lifted, found))),
