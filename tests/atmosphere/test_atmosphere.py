@@ -517,7 +517,7 @@ def changed(column, function):
         (changed(3, lambda v: "nan"), HEADER, "has a value that is not finite"),
         ([(0, 1013, 288, 15, 60), (1000, 898, 281, 65, 55)], HEADER, "line 2: .* not a row of numbers; give 4 w"),
         ([(*row, 200.0) for row in GOOD], HEADER + ",temperature_k", "has the column temperature_k twice"),
-        (GOOD[:1], HEADER, "has 1 levels; give at least 2"),
+        (GOOD[:1], HEADER, "has 1 levels with all quantities; give at least 2"),
         (GOOD, "z,p,t,h", "has no column altitude_m; its first line must name the columns altitude_m, pressure_hpa"),
     ],
 )

@@ -642,7 +642,7 @@ def test_two_textures_of_a_mesh_have_their_own_temperatures(images):
 
 @pytest.mark.parametrize(("name", "data", "words"), [
     ("a.off", b"OFF\n3 4\n0.1 0.2 0.3\n0.2 0.3 0.4\n0.3 0.4 0.5\n0\n220\n4\n", "a.off cannot be read as a mesh"),
-    ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n".encode("utf-16"), "holds zero bytes.; save it as UTF-8 text"),
+    ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n".encode("utf-16"), "holds zero bytes.; give .*, OBJ as UTF-8 text"),
 ])  # fmt: skip
 def test_damaged_and_foreign_texts_are_refused_in_one_line(tmp_path, name, data, words):
     (tmp_path / name).write_bytes(data)

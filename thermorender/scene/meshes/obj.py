@@ -106,7 +106,9 @@ def _content(path: Path) -> _Content:
     # Bytes that are not UTF-8 stay as they are, in names too.
     text = path.read_text(encoding="utf-8-sig", errors="surrogateescape")
     if "\0" in text[:200]:
-        raise ThermorenderError(f"{path} cannot be read as a mesh (it holds zero bytes); save it as UTF-8 text")
+        raise ThermorenderError(
+            f"{path} cannot be read as a mesh (it holds zero bytes); give an OBJ, GLB or PLY file, OBJ as UTF-8 text"
+        )
     found = _Content()
     for number, line in enumerate(text.replace("\\\n", " ").split("\n"), 1):
         words = line.split(None, 1)

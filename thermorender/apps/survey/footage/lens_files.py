@@ -124,7 +124,7 @@ def read_lens(path: Path) -> Lens:
 def opensfm_lens(camera: Mapping[str, Any], source: str) -> Lens:
     """Return the Lens of a camera model of OpenSfM, a table of its JSON."""
     kind = camera.get("projection_type")
-    if kind not in _OPENSFM:
+    if not isinstance(kind, str) or kind not in _OPENSFM:
         raise ThermorenderError(
             f"{source}: projection_type={kind!r} is not read; compute the poses with one of {', '.join(_OPENSFM)}"
         )
