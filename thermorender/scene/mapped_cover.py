@@ -141,7 +141,8 @@ def _burnt(
     """The MappedCover of shapes [(order, number, geometry, case, name, width [texels] or None)]."""
     number = np.zeros((grid.height, grid.width), np.uint8)
     cases: dict[tuple[str, ...] | str, int] = {}
-    by_name: dict[str, NDArray[np.bool_]] = {}
+    by_name: dict[str, int] = {}
+    owner = np.zeros(number.shape, np.uint16)
     used = 0
     for _, feature, geometry, case, name, width_px in sorted(shapes, key=lambda shape: shape[:2]):
         where = f"{path}, feature {feature}"
@@ -154,7 +155,7 @@ def _burnt(
             continue
         used += 1
         number[part][inside] = cases.setdefault(case, len(cases) + 1)
-        by_name.setdefault(name, np.zeros(number.shape, bool))[part] |= inside
+        owner[part][inside] = by_name.setdefault(name, len(by_name) + 1)
     if not used and not required:
         return MappedCover(number, (), ())
     if not used:
@@ -164,7 +165,8 @@ def _burnt(
             "longitude and latitude unless a 'crs' member names another CRS"
         )
     size = number.size
-    shares = ", ".join(f"{name} {each.sum() / size:.1%}" for name, each in by_name.items())
+    # Of what no later shape covers.
+    shares = ", ".join(f"{name} {np.count_nonzero(owner == each) / size:.1%}" for name, each in by_name.items())
     notes = [f"{path.name}: {used} of {used + left_out.total() + silent.total()} shapes restrict the materials of "
              f"{np.count_nonzero(number) / size:.1%} of the texels ({shares})"]  # fmt: skip
     if left_out:

@@ -17,7 +17,7 @@ from thermorender.apps.lands.import_settings import ImportSettings, ThreeD
 from thermorender.apps.lands.solids.city_model import CityModel
 from thermorender.apps.lands.solids.clouds import SUFFIXES, Cloud, read_cloud
 from thermorender.apps.lands.solids.solid_scene import solid_of, write_solid
-from thermorender.apps.lands.unexplained import Photograph, with_pools, write_unexplained
+from thermorender.apps.lands.unexplained import Photograph, with_found, write_unexplained
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic_folder, check_new_folder
 from thermorender.formats import write_json, write_text
@@ -97,7 +97,8 @@ def import_terrain(
     if picture is not None and (day is not None or known is not None):
         photograph = Photograph(*picture, texel_m, height, posts, post_m)
         stated_cover = np.zeros(picture.valid.shape, bool) if cover is None else cover.number > 0
-        shapes, stated_cover, words = with_pools(known, stated_cover, photograph)
+        found = () if solid is None else solid.found
+        shapes, stated_cover, words = with_found(known, stated_cover, photograph, found)
         notes = (*notes, *words)
     terrain = {"elevation": "elevation.tif", "orthophoto": "orthophoto.tif" if picture else None,
                "height_reference": reference, "geoid_undulation_m": settings.geoid_undulation_m,

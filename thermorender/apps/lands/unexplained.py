@@ -1,6 +1,6 @@
-"""What an import says of an orthophoto: pools, which become water, and patches that no material explains."""
+"""What an import finds: pools, which become water, buildings, and patches that no material explains."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from thermorender import defaults
 from thermorender.apps.lands.pools import pools
+from thermorender.apps.lands.solids.detection import Outline, inside
 from thermorender.formats import finite_json, write_json
 from thermorender.learned.emissivity.elevation import above_ground
 from thermorender.learned.emissivity.mapping import COARSEST_RATIO, load_map, map_materials
@@ -49,11 +50,13 @@ class Photograph:
         return found
 
 
-def with_pools(
-    known: Path | None, stated: NDArray[np.bool_], picture: Photograph
+def with_found(
+    known: Path | None, stated: NDArray[np.bool_], picture: Photograph, buildings: Sequence[Outline] = ()
 ) -> tuple[dict[str, Any] | None, NDArray[np.bool_], tuple[str, ...]]:
-    """Return (GeoJSON of a file's shapes and of pools beside them, None without pools; the texels whose materials these
-    state, (h, w) bool; a sentence on the pools). `stated` is where the file does so.
+    """Return (GeoJSON of a file's shapes and of what is found beside them, None if that is nothing; the texels whose
+    materials these state, (h, w) bool; sentences on what is found). `stated` is where the file does so.
+
+    Found are pools, and `buildings` by their height: roofs are of roof materials, whatever grows around them.
     """
     from rasterio.warp import transform_geom
 
@@ -64,7 +67,7 @@ def with_pools(
         if stated[own].mean() < 0.5:
             shapes.append((_outline(own, picture.grid), own))
             stated = stated | own
-    if not shapes:
+    if not shapes and not buildings:
         return None, stated, ()
     content: Mapping[str, Any] = {"type": "FeatureCollection", "features": []}
     crs: Any = "OGC:CRS84"
@@ -74,14 +77,30 @@ def with_pools(
         {"type": "Feature", "geometry": transform_geom(picture.grid.crs, crs, shape),
          "properties": {"leisure": "swimming_pool", "note": "found by its colour"}}
         for shape, _ in shapes
+    ] + [
+        {"type": "Feature", "geometry": transform_geom(picture.posts.crs, crs, _on_map(each, picture.posts)),
+         "properties": {"building": "yes", "note": "found by its height"}}
+        for each in buildings
     ]  # fmt: skip
+    if buildings:
+        body = inside(buildings, picture.posts).astype(np.float32)
+        stated = stated | (onto(body, picture.posts, picture.grid, "nearest") == 1.0)
+    whole = {**content, "features": [*content["features"], *made]}
+    if not shapes:
+        return whole, stated, ()
     words = "; ".join(_place(own, picture) for _, own in shapes[:_MOST])
     more = f" and {len(shapes) - _MOST} more" if len(shapes) > _MOST else ""
     note = (
         f"{len(shapes)} pools are water by their colour: {words}{more}; known.geojson of the scene has their outlines, "
         "so remove there what is none"
     )
-    return {**content, "features": [*content["features"], *made]}, stated, (note,)
+    return whole, stated, (note,)
+
+
+def _on_map(outline: Outline, grid: Grid) -> dict[str, Any]:
+    """The GeoJSON polygon of an outline on a grid, in the grid's CRS."""
+    rings = [np.column_stack(grid.to_map(*np.asarray(ring, np.float64).T)) for ring in outline.rings]
+    return {"type": "Polygon", "coordinates": [[*ring.tolist(), ring[0].tolist()] for ring in rings]}
 
 
 def write_unexplained(

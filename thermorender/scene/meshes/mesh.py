@@ -65,7 +65,11 @@ def load(
     try:
         # `_parts` checks for values that are not finite.
         with _largest_image(MOST_TEXELS), np.errstate(all="ignore"):
-            pieces = _pieces(path, Beside(path, folder or path.parent), named)
+            beside = Beside(path, folder or path.parent)
+            pieces = _pieces(path, beside, named)
+            if not set(named) <= {name for piece in pieces for name in (piece.name, *piece.names)}:
+                # Whoever refuses the name that is not there can list all that are.
+                pieces = _pieces(path, beside, None)
             return _parts(path, [_turned(piece, path, axes) for piece in pieces], named)
     except ThermorenderError:
         raise
@@ -96,7 +100,7 @@ def files_of(path: Path, folder: Path) -> set[Path]:
     return {path, *beside.used}
 
 
-def _pieces(path: Path, beside: Beside, named: Collection[str]) -> list[Piece]:
+def _pieces(path: Path, beside: Beside, named: Collection[str] | None) -> list[Piece]:
     kind = path.suffix.lower()
     if kind == ".obj":
         return obj.read(path, beside, named)

@@ -48,8 +48,9 @@ class _Content:
     so_far: dict[int, tuple[int, int]] = field(default_factory=dict)
 
 
-def read(path: Path, beside: Beside, named: Collection[str] = ()) -> list[Piece]:
-    """Return the Pieces of an OBJ file, one for each material, and for each object and group in `named`.
+def read(path: Path, beside: Beside, named: Collection[str] | None = ()) -> list[Piece]:
+    """Return the Pieces of an OBJ file, one for each material, and for each object and group in `named`
+    (None: all).
 
     A texture replaces vertex colours and `Kd`; vertex colours replace `Kd`. Constant transparency is ignored, since
     panes are opaque in the long-wave infrared. Map coordinates run up the image in the file.
@@ -60,7 +61,7 @@ def read(path: Path, beside: Beside, named: Collection[str] = ()) -> list[Piece]
     lengths, index, map_index = _faces(content, path, len(vertices), len(uv))
     corner, polygon = triangles(lengths, index, vertices, path)
     kinds = [_used(content.uses, len(lengths))]
-    kinds += [_used([(n, x if x in named else "") for n, x in kind], len(lengths))
+    kinds += [_used([(n, x if named is None or x in named else "") for n, x in kind], len(lengths))
               for kind in (content.objects, content.groups)]  # fmt: skip
     library = _Library(path, beside, content.libraries)
     pieces = []

@@ -74,6 +74,7 @@ class CityModel:
     ] = ()  # Trees as copies of typical ones; empty where their leaves are among the meshes
     notes: tuple[str, ...] = ()  # On the files it was made from, one sentence each
     cover: MappedCover | None = None  # What the file of outlines says on materials, too
+    found: tuple[detection.Outline, ...] = ()  # Outlines of buildings that no file states
 
 
 @dataclass(frozen=True)
@@ -168,8 +169,9 @@ def city_model(
         else:
             meshes.append(_plants(*of_trees))
     buildings = len({high[k].building for k in built})
+    found = tuple(each for each in (outlines if known is None else unstated) if _stands(each, height, bare, post_m))
     return CityModel(tuple(meshes), names, frame, buildings, flat, len(trees), stated, unmatched, typical,
-                    tuple(notes))  # fmt: skip
+                    tuple(notes), found=found)  # fmt: skip
 
 
 def _all_walls(
