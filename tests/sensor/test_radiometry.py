@@ -183,6 +183,36 @@ def test_a_margin_of_zeros_in_degrees_celsius_is_no_data(tmp_path):
             assert [str(one.message)[:34] for one in told] == ["pixels of exactly 273.15 K, which "] * blank
 
 
+@pytest.mark.parametrize("value", [-9999.0, 0.0, 50.0, 255.0, 655.35, 65535.0])
+def test_a_margin_of_one_value_in_kelvin_is_no_data_with_a_note(tmp_path, value):
+    import tifffile
+
+    kelvin = np.random.default_rng(3).uniform(285.0, 300.0, (40, 60))
+    kelvin[:, 50:] = value
+    tifffile.imwrite(tmp_path / "a.tif", kelvin.astype(np.float32))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", ThermorenderWarning)
+        found = read_temperature(tmp_path / "a.tif", (1.0, 0.0))
+    # A sky of one temperature may be as cold as 255 K.
+    kept = value == 255.0
+    assert np.isnan(found[:, 50:]).all() == (not kept)
+    assert [str(one.message).split(",")[0] for one in told] == [f"pixels of exactly {value:g} K"] * (not kept)
+    np.testing.assert_allclose(found[:, :50], kelvin[:, :50], rtol=1e-6)
+
+
+def test_impossible_temperatures_are_no_data_with_a_note(tmp_path):
+    """A margin that a resampling blended with the ground has no common value."""
+    import tifffile
+
+    kelvin = np.random.default_rng(3).uniform(285.0, 300.0, (40, 60))
+    kelvin[:, 50:] = np.linspace(3.0, 99.0, 400).reshape(40, 10)
+    kelvin[0, 0] = 2000.0
+    tifffile.imwrite(tmp_path / "a.tif", kelvin.astype(np.float32))
+    with pytest.warns(ThermorenderWarning, match="pixels outside 100…1500 K are taken for no data"):
+        found = read_temperature(tmp_path / "a.tif", (1.0, 0.0))
+    assert np.isnan(found[:, 50:]).all() and np.isnan(found[0, 0]) and np.isfinite(found[1:, :50]).all()
+
+
 def test_a_verb_without_scale_is_not_told_to_give_one(tmp_path):
     import tifffile
 

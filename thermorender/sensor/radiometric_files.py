@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from thermorender.errors import ThermorenderError, ThermorenderWarning
 from thermorender.formats import picture_tags
 from thermorender.sensor.radiometry import ThermographySettings
-from thermorender.units import ZERO_CELSIUS_K, kelvin_scale
+from thermorender.units import LOWEST_KELVIN, ZERO_CELSIUS_K, kelvin_scale
 
 # FLIR Tau 2 product specification, TLinear: kelvin per count in high resolution, as in the TIFFs of a Zenmuse XT2.
 TLINEAR_STEP_K = 0.04
@@ -33,8 +33,10 @@ _AS_FRACTION = ("1 K", "1 °C", "1 °F")
 _AS_INTENSITY = ("0.04 K", "0.01 °C", "0.001 °C")
 # A landscape in a picture: most pixels, and every pixel [K].
 _COMMON_K, _RARE_K = (238.0, 338.0), (150.0, 1000.0)
-# Largest share of pixels that may be a margin of zeros.
-_MOST_MARGIN = 0.9
+# Temperatures of a pixel; kilns and lava are below the upper one [K].
+_POSSIBLE_K = (LOWEST_KELVIN, 1500.0)
+# Smallest and largest share of pixels that have the value of a margin.
+_LEAST_MARGIN, _MOST_MARGIN = 0.001, 0.9
 # Temperatures of a picture have no gap of so many kelvin around 0 °C, which some of its pixels have exactly.
 _APART_K = 2.0
 FLIR_JPEG = (".jpg", ".jpeg")
@@ -75,8 +77,8 @@ def read_temperature(
     """Return the temperatures of a TIFF of one band or of FLIR's radiometric JPEG, (H, W) float64 [K]; NaN where none.
 
     `scale` is (kelvin per count, kelvin of count 0) of a TIFF that does not declare them; floats between 238 and 338
-    are kelvin without it. `thermography` replaces the settings stored in a JPEG. Values that are not above 0 K count as
-    no data, and so do zeros of °C or °F far from all other values. `takes_scale` is whether the user can state a scale.
+    are kelvin without it. `thermography` replaces the settings stored in a JPEG. Margins count as no data, as in
+    `kelvin_of_counts`, and so do values that are not above 0 K. `takes_scale` is whether the user can state a scale.
     """
     path = Path(path)
     if path.suffix.lower() in FLIR_JPEG:
@@ -113,7 +115,6 @@ def read_temperature(
         )
     step, zero = scale or declared  # type: ignore[misc]  # one of them is given
     found = kelvin_of_counts(counts, (step, zero))
-    # The margin of a warped picture, for example, is 0 in a file without a mark of no data.
     return np.where(found > 0.0, found, np.nan)
 
 
@@ -162,31 +163,71 @@ def sequence_hint(paths: Iterable[Path]) -> str:
 
 
 def kelvin_of_counts(counts: NDArray[np.float64], scale: Sequence[float]) -> NDArray[np.float64]:
-    """Return the temperatures of counts by their scale (step, zero) [K]. Zeros of °C or °F far from all others are NaN,
-    as in the margin of a warped picture, with a warning."""
+    """Return the temperatures of counts (H, W) by their scale (step, zero) [K], NaN where a value marks no data.
+
+    Such are values of `margin_values` that no landscape has, zeros of °C or °F far from all others, and temperatures
+    that no pixel has. A warning names each.
+    """
     step, zero = float(scale[0]), float(scale[1])
-    blank = counts == 0.0
-    rest = np.abs(counts[np.isfinite(counts) & ~blank])
-    if zero > 0.0 and blank.any() and rest.size and rest.min() * step >= _APART_K:
+    found = counts * step + zero
+    known = found[np.isfinite(found)]
+    marks = {
+        value: "the others are far from it"
+        for value in margin_values(counts)
+        if not _COMMON_K[0] <= value * step + zero <= _COMMON_K[1]
+    }
+    rest = np.abs(counts[np.isfinite(counts) & (counts != 0.0)])
+    if zero > 0.0 and (counts == 0.0).any() and rest.size and rest.min() * step >= _APART_K:
+        marks[0.0] = f"all others are at least {_APART_K:g} K from it"
+    for value, why in marks.items():
         # The same text for all files, so that it is told once.
         warnings.warn(
-            f"pixels of exactly {zero:g} K, which are 0 in the file, are taken for no data, since all others are at "
-            f"least {_APART_K:g} K from it",
+            f"pixels of exactly {value * step + zero:g} K, which are {value:g} in the file, are taken for no data, "
+            f"since {why}",
             ThermorenderWarning, stacklevel=3,
         )  # fmt: skip
-        counts = np.where(blank, np.nan, counts)
-    return counts * step + zero
+    found = np.where(np.isin(counts, list(marks)), np.nan, found)
+    low, high = _POSSIBLE_K
+    # A wrong scale, by which most are impossible, is judged by who asks for the temperatures.
+    if known.size and low <= np.median(known) <= high:
+        impossible = np.isfinite(found) & ((found < low) | (found > high))
+        if impossible.any():
+            warnings.warn(f"pixels outside {low:g}…{high:g} K are taken for no data", ThermorenderWarning, stacklevel=3)
+            found = np.where(impossible, np.nan, found)
+    return found
+
+
+def margin_values(values: NDArray[np.float64]) -> list[float]:
+    """Return the lowest and the highest of the values (H, W) that mark no data, as in the margin of a warped picture.
+
+    Such a value is on the edge of the picture, and farther from all others than those are from each other. A saturated
+    spot is not: its blurred outline has all values between.
+    """
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return []
+    ends = float(known.min()), float(known.max())
+    inner = known[(known != ends[0]) & (known != ends[1])]
+    if inner.size < (1.0 - _MOST_MARGIN) * known.size:
+        return []
+    gaps = inner.min() - ends[0], ends[1] - inner.max()
+    edge = np.concatenate([values[0], values[-1], values[:, 0], values[:, -1]])
+    return [
+        end
+        for end, gap in zip(ends, gaps, strict=True)
+        if gap > np.ptp(inner) and (known == end).mean() >= _LEAST_MARGIN and (edge == end).any()
+    ]
 
 
 def likely_scales(counts: ArrayLike, signed: bool = True) -> list[str]:
-    """Return the names of common scales by which counts are temperatures of a landscape.
+    """Return the names of common scales by which counts (H, W) are temperatures of a landscape.
 
     Unsigned counts are often intensities, so scales that common intensities fit too are left out.
     """
-    known = np.asarray(counts, np.float64)
-    known = known[np.isfinite(known)]
+    values = np.asarray(counts, np.float64)
+    # A margin says nothing about the unit.
+    known = values[np.isfinite(values) & ~np.isin(values, margin_values(values))]
     if 0.0 < float((known == 0.0).mean() if known.size else 0.0) < _MOST_MARGIN:
-        # The margin of a warped or undistorted picture says nothing about the unit.
         inner = known[known != 0.0]
         known = inner if inner.min() > 0.0 else known
     if not known.size or (not signed and known.max() <= 255.0):

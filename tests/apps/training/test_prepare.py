@@ -1,6 +1,7 @@
 """Data sets made from folders of pictures: `thermorender prepare`, its readers, bounds, crops and shifts."""
 
 import struct
+import warnings
 import zlib
 
 import cv2
@@ -13,7 +14,7 @@ from thermorender.apps.training import bounds, pictures
 from thermorender.apps.training.cut import Cut, moved, piece
 from thermorender.apps.training.dataset import ThermalScale, read_dataset
 from thermorender.apps.training.registration.rig import Rig, save_rig
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, ThermorenderWarning
 from thermorender.sensor.radiometric_files import orientation, write_tlinear
 
 
@@ -589,13 +590,40 @@ def test_pairs_of_different_orientations_are_named(tmp_path, call):
     assert "visible and thermal picture of 8 pairs state different orientations" in errors
 
 
-def test_a_margin_of_zeros_does_not_hide_the_unit_of_counts(tmp_path, call):
-    """Hundredths of a kelvin with a margin of no data are asked about, and with their scale the margin is left out."""
-    kelvin = np.random.default_rng(2).uniform(285.0, 300.0, (40, 48))
-    kelvin[:, -8:] = 0.0
-    path = tmp_path / "a.tif"
-    integers(path, kelvin, 0.01, 0.0, np.uint16)
-    with pytest.raises(ThermorenderError, match=r"which look like scale=0.01,0 for counts of 0.01 K"):
-        pictures.read_thermal(path)
-    found = pictures.read_thermal(path, (0.01, 0.0))
-    assert not found.valid[:, -8:].any() and found.valid[:, :-8].all()
+@pytest.mark.parametrize("value", [0, 255, 65535])
+def test_a_margin_does_not_hide_the_unit_of_counts(tmp_path, call, value):
+    """Hundredths of a kelvin with a margin are asked about; with their scale or a range the margin is no data."""
+
+    def thermal(rng, shape):
+        counts = rng.uniform(28500, 30000, shape).astype(np.uint16)
+        counts[:, -8:] = value
+        return counts
+
+    folders(tmp_path, thermal=thermal)
+    errors = prepared(call, tmp_path, status=2)
+    assert "which look like scale=0.01,0 for counts of 0.01 K; or give --range-c=" in errors
+    for option, unit, scale in (("--scale=0.01,0", "kelvin", (0.01, 0.0)), ("--range-c=5,30", "intensity", None)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("always", ThermorenderWarning)
+            status, _, errors = call(
+                "prepare", tmp_path / "visible", tmp_path / "thermal", "-o", tmp_path / unit, option, "--split=train"
+            )
+        assert status == 0 and errors.count("note:") == errors.count(f"{value} in the file") == 1
+        found = pictures.read_thermal(tmp_path / "thermal" / "seq0_000.png", scale, intensity=scale is None)
+        assert found.unit == unit and not found.valid[:, -8:].any() and found.valid[:, :-8].all()
+
+
+def test_a_spot_that_saturates_the_detector_stays_a_temperature(tmp_path):
+    """A fire above the range of 16 bits, blurred by optics, and a hot plate with a sharp outline inside the picture."""
+    kelvin = np.random.default_rng(2).uniform(285.0, 300.0, (60, 80))
+    row, column = np.mgrid[:60, :80]
+    fire = np.minimum(kelvin + 800.0 * np.exp(-((row - 5.0) ** 2 + (column - 40.0) ** 2) / 300.0), 655.35)
+    plate = np.where(np.hypot(row - 30, column - 40) < 9, 480.0, kelvin)
+    for picture in (fire, plate):
+        assert (picture == picture.max()).mean() > 0.02
+        expected = integers(tmp_path / "a.tif", picture, 0.01, 0.0, np.uint16)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            found = pictures.read_thermal(tmp_path / "a.tif", (0.01, 0.0))
+        assert found.valid.all()
+        np.testing.assert_allclose(found.values * 0.01, expected, atol=0.0051)

@@ -5,6 +5,7 @@ A thermal file is an 8-bit picture, a 16-bit one, a TIFF of temperatures or FLIR
 """
 
 import re
+import warnings
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -13,12 +14,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, ThermorenderWarning
 from thermorender.formats import decoded, picture_tags
 from thermorender.sensor.flir_jpeg import DJI, dji_thermal, read_flir_jpeg
 from thermorender.sensor.radiometric_files import (
     kelvin_of_counts,
     likely_scales,
+    margin_values,
     orientation,
     read_tiff,
     scale_request,
@@ -305,6 +307,13 @@ def _of_counts(path: Path, values: np.ndarray, scale: Sequence[float] | None, in
             f"{path} has {kind} counts of undeclared scale; {scale_request(likely)}"
             + ("; or give --range-c=COLD,WARM if they are intensities" if kind == "uint16" else "")
         )
+    # Pictures of 8 bits are for display, and may have a black sky.
+    for value in margin_values(values) if kind != "uint8" else ():
+        warnings.warn(
+            f"pixels of exactly {value:g} in the file are taken for no data, since the others are far from it",
+            ThermorenderWarning, stacklevel=3,
+        )  # fmt: skip
+        valid &= values != value
     return Thermal(np.where(valid, values, 0.0).astype(kind), "intensity", valid)
 
 
