@@ -1,5 +1,6 @@
 """Flight logs of other programs: each format is written here as its program writes it, and read."""
 
+import re
 import struct
 import sys
 from contextlib import suppress
@@ -719,3 +720,26 @@ def test_a_declaration_of_messages_without_length_is_refused(tmp_path, length):
 def test_a_time_beyond_any_clock_is_refused(tmp_path):
     with pytest.raises(ThermorenderError, match="is not a time of a flight; give seconds, at most 1e"):
         read(write(tmp_path / "a.txt", "-1e308 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n"), "tum", frame=None)
+
+
+def test_points_at_latitude_and_longitude_0_are_dropped_with_their_share(tmp_path):
+    stamps = [(f"2024-05-01T10:00:0{k}Z", "") for k in range(5)]
+    text = gpx(*stamps)
+    for k in range(2):
+        text = text.replace(f'lat="47.0" lon="{8 + 1e-5 * k:.5f}"', 'lat="0.0" lon="0.0000000"')
+    found = read(write(tmp_path / "a.gpx", text), "gpx", geoid_undulation_m=50.0)
+    assert found.span_s == (0.0, 2.0)
+    assert any("2 of 5 track points (40.0%) are dropped as invalid" in note for note in found.notes)
+    rows = "time_s,lat_deg,lon_deg,up_m\n0,0,0.0,50\n1,47,8,50\n2,47.00001,8,50\n"
+    found = read(write(tmp_path / "a.csv", rows), None, anchor=ANCHOR)
+    assert found.span_s == (1.0, 2.0) and any("1 of 3 rows (33.3%)" in note for note in found.notes)
+
+
+def test_rows_out_of_order_are_sorted_by_the_mapping_that_the_error_names(tmp_path):
+    stamps = [(f"2024-05-01T10:00:0{k}Z", "") for k in (0, 2, 1, 3)]
+    path = write(tmp_path / "a.gpx", gpx(*stamps))
+    with pytest.raises(ThermorenderError, match=r"time is running backwards.* copy of (.*gpx\.toml) as format") as told:
+        read(path, "gpx", geoid_undulation_m=50.0)
+    shipped = Path(re.search(r"copy of (\S+\.toml) as format", str(told.value))[1]).read_text(encoding="utf-8")
+    mapping = write(tmp_path / "m.toml", f"sort_by_time = true\n{shipped}")
+    assert read(path, mapping, geoid_undulation_m=50.0).span_s == (0.0, 3.0)

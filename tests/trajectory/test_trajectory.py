@@ -460,7 +460,7 @@ LOCAL = "time_s,east_m,north_m,up_m"
         ),
         (f"{LOCAL}\n0,0,0,0\n1,200000,0,0\n", {}, r"at 1\.000 s: the position is 200 km from .*anchor="),
         (
-            "time_s,lat_deg,lon_deg,up_m\n0,49,8,0\n1,0,0,0\n",
+            "time_s,lat_deg,lon_deg,up_m\n0,49,8,0\n1,0,1,0\n",
             {"anchor": Anchor(0, 0, 50, 0)},
             "row 3, .* km from the first sample; .*delete rows without a fix",
         ),

@@ -127,6 +127,15 @@ def bundled_formats() -> list[str]:
     return sorted(entry.name[: -len(".toml")] for entry in folder.iterdir() if entry.name.endswith(".toml"))
 
 
+def changed_mapping(mapping: Mapping) -> str:
+    """Return which file a user changes to read a log otherwise than a mapping: "a copy of …", or "a TOML file"."""
+    if mapping.name == Mapping.name:
+        return "a TOML file"
+    bundled = mapping.name in bundled_formats()
+    shipped = files("thermorender.trajectory") / "formats" / f"{mapping.name}.toml"
+    return f"a copy of {shipped if bundled else mapping.name}"
+
+
 def load_mapping(name: str | PathLike[str] | None) -> Mapping:
     """Return the `Mapping` of a bundled format or of a TOML file; None gives our own columns."""
     if name is None:

@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.trajectory.column_mapping import QUATERNION, Mapping, Quantity, Reset
+from thermorender.trajectory.column_mapping import POSITION_GEODETIC, QUATERNION, Mapping, Quantity, Reset
 from thermorender.trajectory.rotations import rotation_from_wxyz, wxyz
 from thermorender.trajectory.tables import Floats, Table
 
+# Latitudes and longitudes that are 0 [deg]: 0.1 m.
+_ZERO_DEG = 1e-6
 # Counters are unsigned bytes.
 _WRAP = 256
 
@@ -162,6 +164,26 @@ def find_resets(table: Table, mapping: Mapping) -> Resets:
     return Resets(tuple(counted), tuple(reset.counter for reset in present))
 
 
+def _without_fix(table: Table, mapping: Mapping) -> NDArray[np.bool_]:
+    """Whether each row (N,) has latitude and longitude 0, as receivers write before their first fix."""
+    names = table.header or tuple(table.columns)
+    zero = np.ones(len(table), bool)
+    for name in POSITION_GEODETIC:
+        choices = mapping.quantities.get(name, (Quantity(name),))
+        column = next((choice.column for choice in choices if choice.column in names), None)
+        if column is None:
+            return np.zeros(len(table), bool)
+        zero &= np.array([_is_zero(cell) for cell in table.cells(column)], bool)
+    return zero
+
+
+def _is_zero(cell: object) -> bool:
+    try:
+        return abs(float(cell)) < _ZERO_DEG  # type: ignore[arg-type]  # text or a number
+    except ValueError:
+        return False
+
+
 def drop_invalid(table: Table, mapping: Mapping, resets: Resets, notes: list[str]) -> tuple[Table, Resets]:
     """Return the valid rows of a table and their resets; append what was dropped to `notes`."""
     names = table.header or tuple(table.columns)
@@ -177,6 +199,10 @@ def drop_invalid(table: Table, mapping: Mapping, resets: Resets, notes: list[str
         if zero.any():
             reasons.append(f"{column} is 0 in {int(zero.sum())}")
         valid &= ~zero
+    lost = _without_fix(table, mapping) & valid
+    if lost.any() and (valid & ~lost).any():
+        reasons.append(f"latitude and longitude are 0 in {int(lost.sum())}")
+        valid &= ~lost
     for column in (column for column in mapping.doubtful if column in names):
         doubtful = int((table.numbers(Quantity(column))[valid] != 0.0).sum())
         if doubtful:

@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.schema import closest
-from thermorender.trajectory.column_mapping import QUANTITIES, UNSTATED, Mapping, Quantity, fitting_formats
+from thermorender.trajectory.column_mapping import (
+    QUANTITIES,
+    UNSTATED,
+    Mapping,
+    Quantity,
+    changed_mapping,
+    fitting_formats,
+)
 from thermorender.trajectory.estimates import drop_invalid, find_resets
 from thermorender.trajectory.tables import Floats, Table
 
@@ -175,7 +182,8 @@ def _in_time_order(
         if step[k] < 0.0:
             raise ThermorenderError(
                 f"{where} {written[keep[k]]!r} in {what} {table.row[keep[k]]}: time is running backwards, and must "
-                "strictly increase"
+                f"strictly increase; if only the order of the {what}s is wrong, give "
+                f"{changed_mapping(mapping)} as format, with the first line sort_by_time = true"
             )
         raise ThermorenderError(
             f"{where} the same time in {what} {table.row[keep[k]]}, but time must strictly increase; give duplicates="
