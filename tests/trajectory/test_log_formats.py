@@ -13,7 +13,7 @@ from scenes import flat
 from thermorender.cli.options import TrajectoryOptions
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
-from thermorender.trajectory.column_mapping import GIMBAL, READERS, bundled_formats, load_mapping
+from thermorender.trajectory.column_mapping import READERS, bundled_formats, load_mapping
 from thermorender.trajectory.path import Anchor
 from thermorender.trajectory.readers import read_trajectory
 from thermorender.trajectory.sources import SOURCES
@@ -663,10 +663,12 @@ def test_exchanged_latitude_and_longitude_are_named_with_a_mapping_that_mends_th
         cues = [cue.replace(old, new) for cue in cues]
     swapped = srt(tmp_path / "b.srt", cues)
     for anchor in (None, ANCHOR):
-        with pytest.raises(ThermorenderError, match=r"latitude and longitude exchanged; exchange .* by a mapping"):
+        with pytest.raises(ThermorenderError, match=r"latitude and longitude exchanged; exchange the") as told:
             read(swapped, "dji-srt", anchor=anchor)
-    mapping = write(tmp_path / "m.toml", 'reader = "srt"\n[columns]\nlat_deg = "lon_deg"\nlon_deg = "lat_deg"\n'
-                    'above_takeoff_m = "above_takeoff_m"\n' + "".join(f'{n} = "{n}"\n' for n in GIMBAL))  # fmt: skip
+    shipped, table = re.search(r"copy of (\S+\.toml) as format, with lines (.*) at its end", str(told.value)).groups()
+    text = Path(shipped).read_text(encoding="utf-8") + table.replace(", ", "\n")
+    assert "gimbal_pitch_deg" in table
+    mapping = write(tmp_path / "m.toml", text)
     np.testing.assert_allclose(read(swapped, mapping).poses(), expected.poses(), atol=1e-9)
 
 

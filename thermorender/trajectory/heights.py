@@ -3,6 +3,7 @@
 Geodetic coordinates are converted through ECEF, which includes the Earth's curvature and the tilt of the vertical.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import FARTHEST_M, LocalFrame, ecef_from_geodetic
-from thermorender.trajectory.column_mapping import POSITION_GEODETIC, UNSTATED
+from thermorender.trajectory.column_mapping import POSITION_GEODETIC, UNSTATED, Mapping, changed_mapping
 from thermorender.trajectory.logs import Log
 from thermorender.trajectory.path import GroundHeight, Trajectory
 
@@ -102,8 +103,11 @@ def local_positions(
     return np.stack([east, north, up], axis=-1)
 
 
-def refuse_exchanged(log: Log, frame: LocalFrame) -> None:
-    """Raise if all of a log's coordinates are near the scene only with latitude and longitude exchanged."""
+def refuse_exchanged(log: Log, frame: LocalFrame, mapping: Mapping, logs: Sequence[Log]) -> None:
+    """Raise if all coordinates of a log are near the scene only with latitude and longitude exchanged.
+
+    `mapping` and all `logs` of the flight are for the advice.
+    """
     latitude, longitude = log.values["lat_deg"], log.values["lon_deg"]
     if (np.abs(longitude) > 90.0).any():
         return
@@ -112,12 +116,15 @@ def refuse_exchanged(log: Log, frame: LocalFrame) -> None:
         for pair in ((latitude, longitude), (longitude, latitude))
     )
     if as_given.min() > FARTHEST_M and exchanged.max() <= FARTHEST_M:
-        columns = [repr(log.columns.get(name, name)) for name in POSITION_GEODETIC]
+        latitude_column, longitude_column = (log.columns.get(name, name) for name in POSITION_GEODETIC)
+        columns = {name: column for each in logs for name, column in each.columns.items()}
+        columns |= {"lat_deg": longitude_column, "lon_deg": latitude_column}
+        table = ", ".join(f"{name} = {column!r}" for name, column in columns.items())
         raise ThermorenderError(
             f"{log.path}: the positions are {_km(as_given.min())} km from the scene's origin, and "
             f"{exchanged.min() / 1e3:.3g} km with latitude and longitude exchanged; exchange the columns "
-            f"{' and '.join(columns)}, in the log or by a mapping with lat_deg = {columns[1]} and lon_deg = "
-            f"{columns[0]} as format"
+            f"{latitude_column!r} and {longitude_column!r} in the log, or give {changed_mapping(mapping)} as format, "
+            "with " + ("the two exchanged" if mapping.quantities else f"lines [columns], {table} at its end")
         )
 
 
@@ -130,8 +137,6 @@ def _geodetic_positions(
             f"{log.where('lat_deg', 0)}: latitude and longitude need the scene's georeference, which is not "
             "given; move the flight into the scene with an anchor"
         )
-    if not relative:
-        refuse_exchanged(log, frame)
     _refuse_impossible_coordinates(log)
     distance = np.linalg.norm(ecef_from_geodetic(latitude, longitude, frame.height_m) - frame.origin_ecef, axis=-1)
     if (distance > FARTHEST_M).any():

@@ -100,9 +100,9 @@ def read_trajectory(
     position_log, horizontal, height = _position_columns(logs, mapping)
     if position_log.origin and horizontal == POSITION_LOCAL and frame is not None and anchor is None:
         position_log, horizontal = geodetic_of_local(position_log), POSITION_GEODETIC
+    if frame is not None and horizontal == POSITION_GEODETIC:
+        refuse_exchanged(position_log, frame, mapping, logs)
     if anchor is not None and horizontal == POSITION_GEODETIC:
-        if frame is not None:
-            refuse_exchanged(position_log, frame)
         frame = frame_of_first_sample(position_log)
     position = local_positions(
         position_log, horizontal, height, frame, ground, geoid_undulation_m, relative=anchor is not None
