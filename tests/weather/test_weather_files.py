@@ -304,6 +304,26 @@ def test_a_bad_weather_year_is_refused_in_one_sentence(tmp_path, write, words):
 # --- stations -------------------------------------------------------------------------------------------------------
 
 
+def test_rain_in_inches_and_all_other_wrong_columns_are_refused_in_one_error(tmp_path):
+    path = station(tmp_path / "s.csv")
+    head, *rows = path.read_text().splitlines()
+    table = [f"{head},rain_in", *(f"{row},0.0" for row in rows)]
+    path.write_text("\n".join(table))
+    with pytest.raises(
+        ThermorenderError, match=r"'rain_in' is in inches; multiply it by 25.4 for 'rain_mm', or"
+    ) as told:
+        read_station(path, *PLACE)
+    assert "air temperature" not in str(told.value)
+    edited(path, ("air_c", "x"), ("sw_down_w_m2", "ghi"))
+    with pytest.raises(
+        ThermorenderError,
+        match=r"'ghi' is not known .*; column 'rain_in' is in inches; .*; it has no air temperature: add",
+    ):
+        read_station(path, *PLACE)
+    edited(path, ("x,", "air_c,"), ("ghi", "sw_down_w_m2"), ("rain_in", "rain_mm"))
+    assert (read_station(path, *PLACE).rain_mm_h == 0.0).all()
+
+
 @pytest.mark.parametrize(
     ("theirs", "ours"),
     [("global_w_m2", "sw_down_w_m2"), ("GHI", "sw_down_w_m2"), ("relative_humidity_percent", "rh_percent"),

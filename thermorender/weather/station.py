@@ -41,6 +41,13 @@ _LONGEST_STEP_S = 3 * 3600.0
 _MOST_NOTES = 50
 # Of cloud in oktas, where fog or snow hides the sky: WMO-No. 306, code table 2700.
 _OBSCURED = 9.0
+# Names of rain in inches, and ours in millimetres.
+_INCHES = {
+    f"{rain}_{unit}": "rain_total_mm" if rain == "rain_total" else "rain_mm"
+    for rain in ("rain", "rainfall", "rain_total", "precip", "precipitation", "prcp")
+    for unit in ("in", "inch", "inches")
+}
+_NO_AIR = "it has no air temperature: add a column air_c, air_k or air_f"
 _LIGHT = ("global_w_m2", "direct_w_m2", "diffuse_w_m2")
 
 Times = NDArray[np.datetime64]
@@ -258,27 +265,41 @@ def _refuse_near_misses(path: object, header: list[str]) -> None:
     """Refuse misspelt names of ours, or ones in another unit, if no other column has their quantity."""
     given = {COLUMNS[name].quantity for name in header if name in COLUMNS}
     ours = [name for name, column in COLUMNS.items() if column.quantity not in given and len(name) > 4]
-    renamed, misspelt = {}, {}
+    renamed, misspelt, converted = {}, {}, {}
     for name in header:
         if name and name not in COLUMNS and name not in _TIMES:
-            usual = USUAL.get(re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_"))
+            plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+            usual = USUAL.get(plain)
             near = closest(name, ours, cutoff=0.84)
             if usual and COLUMNS[usual].quantity not in given:
                 renamed[name] = usual
+            elif plain in _INCHES and not any(each.startswith("rain") for each in given):
+                converted[name] = _INCHES[plain]
             # A longer name, such as roof_air_c, is another place's; sw_up is not sw_down.
             elif near and not name.endswith(f"_{near[0]}") and "_up_" not in name:
                 misspelt[name] = near[0]
+    wrong = []
     if renamed:
-        raise ThermorenderError(
-            f"{path}: {_columns(renamed)} not known by this name; rename it to "
+        wrong.append(
+            f"{_columns(renamed)} not known by this name; rename it to "
             f"{', '.join(renamed.values())} if that is its unit, else to another name of "
             "docs/reference/file-formats.md, or delete it"
         )
     if misspelt:
-        raise ThermorenderError(
-            f"{path}: {_columns(misspelt)} not known; did you mean {', '.join(map(repr, misspelt.values()))}? "
+        wrong.append(
+            f"{_columns(misspelt)} not known; did you mean {', '.join(map(repr, misspelt.values()))}? "
             "rename it, or delete it"
         )
+    if converted:
+        wrong.append(
+            f"{_columns(converted)} in inches; multiply it by 25.4 for {', '.join(map(repr, converted.values()))}, or "
+            "delete it"
+        )
+    found = {COLUMNS[name].quantity for name in (*renamed.values(), *misspelt.values())} | given
+    if wrong and "air_k" not in found:
+        wrong.append(_NO_AIR)
+    if wrong:
+        raise ThermorenderError(f"{path}: {'; '.join(wrong)}")
 
 
 def _columns(names: Mapping[str, str]) -> str:
