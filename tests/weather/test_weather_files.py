@@ -71,7 +71,7 @@ def test_names_of_other_services_are_refused_with_ours_in_their_unit(tmp_path):
     )
     with pytest.raises(ThermorenderError, match="not known by this name; rename it to air_c, sw_down_w_m2 if that"):
         read_station(path, *PLACE)
-    path = edited(station(tmp_path / "b.csv"), ("air_c", "tmpf"), ("wind_m_s", "sknt"))
+    path = edited(station(tmp_path / "b.csv"), ("air_c", "temp_air_f"), ("wind_m_s", "sknt"))
     with pytest.raises(ThermorenderError, match="not known by this name; rename it to air_f, wind_knots if that"):
         read_station(path, *PLACE)
 

@@ -65,7 +65,7 @@ COLUMNS = {
 _USUAL = {
     "air_c": "temp_air temperature air_temperature t_air ta tair temp temp_c t2m air_temp drybulb dry_bulb dry_bulb_c "
     "temperature_c air_temperature_c ta_f temperature_2m temperature_2m_c tt_tu",
-    "air_f": "tmpf temp_f temperature_f",
+    "air_f": "tmpf temp_f temperature_f temp_air_f air_temp_f air_temperature_f temperature_2m_f",
     "air_k": "temperature_k air_temperature_k",
     "rh_percent": "relative_humidity relative_humidity_percent humidity humidity_percent rhum relhum rh_f "
     "relative_humidity_2m rf_tu relh",
