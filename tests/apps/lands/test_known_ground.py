@@ -15,6 +15,7 @@ from thermorender.apps.lands.import_terrain import import_terrain
 from thermorender.apps.lands.pools import pools
 from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
+from thermorender.learned.emissivity.kinds import kinds_of
 from thermorender.materials.extended import within_band
 from thermorender.materials.library import load_library
 from thermorender.materials.mixture import parts_of
@@ -271,3 +272,13 @@ def tr_corners(area):
     half = 0.5 * SIDE
     return [(west - half, half - north), (east - half, half - north), (east - half, half - south),
             (west - half, half - south)]  # fmt: skip
+
+
+def test_a_shape_of_grass_over_the_plot_leaves_found_roofs_of_roof_materials(survey, tmp_path):
+    lawn = shapes(tmp_path / "lawn.geojson", ((1, 1, 47, 47), {"landuse": "grass"}))
+    scene, _ = imported(survey, tmp_path / "s", known=lawn, weather=survey / "st.csv", time="2018-07-24T12:00Z")
+    (roofs,) = (each for each in scene.surfaces if each.name.split(":")[-1] == "roofs")
+    seen = np.unique(roofs.material[within((8, 8, 16, 14), 0.5)])
+    assert all("roof" in kinds_of(part.name) for number in seen for part, _ in parts_of(scene.materials[number]))
+    stated = json.loads((tmp_path / "s" / "known.geojson").read_text())["features"]
+    assert [each["properties"].get("building") for each in stated] == [None, None, "yes", "yes"]
