@@ -76,10 +76,8 @@ class MappedCover:
 
     def states(self, kind: str) -> NDArray[np.bool_]:
         """Return the texels, (h, w) bool, whose case allows a kind of material or is one material."""
-        found: NDArray[np.bool_] = np.array([False, *(isinstance(c, str) or kind in c for c in self.cases)])[
-            self.number
-        ]
-        return found
+        known = np.array([False, *(isinstance(case, str) or kind in case for case in self.cases)])
+        return np.asarray(known[self.number])
 
     def beyond(self, materials: Sequence[str]) -> list[str]:
         """Return the materials of cases that allow none of those given, one for each."""

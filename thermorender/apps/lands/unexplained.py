@@ -54,8 +54,8 @@ class Photograph:
 def with_found(
     known: Path | None, cover: MappedCover | None, picture: Photograph, buildings: Sequence[Outline] = ()
 ) -> tuple[dict[str, Any] | None, NDArray[np.bool_], tuple[str, ...]]:
-    """Return (GeoJSON of a file's shapes and of what is found beside them, None if that is nothing; the texels whose
-    materials these state, (h, w) bool; sentences on what is found). `cover` is what the file states.
+    """Return (GeoJSON of a file's shapes and of what is found beside them, None if that is nothing; the texels that
+    are water, roofs or one material by these, (h, w) bool; sentences on what is found). `cover` is what the file states.
 
     Found are pools, unless the file states water or a material there, and `buildings` by their height: roofs are of
     roof materials, whatever grows around them.
@@ -63,7 +63,9 @@ def with_found(
     from rasterio.warp import transform_geom
 
     empty = np.zeros(picture.valid.shape, bool)
-    stated, as_water = (empty, empty) if cover is None else (cover.number > 0, cover.states("water"))
+    # A shape of land, such as grass, states what is around a pool or a patch, not what it is.
+    as_water, roof = (empty, empty) if cover is None else (cover.states("water"), cover.states("roof"))
+    stated = as_water | roof
     number = pools(picture.rgb, picture.valid, picture.texel_m, picture.above_m())
     shapes = []
     for k in range(1, int(number.max()) + 1):
