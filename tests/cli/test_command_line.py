@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from thermorender.cli import registry
+from thermorender.progress import progress
 
 
 def verbs(command=None, path=()):
@@ -169,3 +170,12 @@ def test_a_warning_of_the_package_is_a_note_and_another_one_stays():
     made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert made.returncode == 0 and "note: nothing moves\n" in made.stderr
     assert "UserWarning: of a library" in made.stderr and "ThermorenderWarning" not in made.stderr
+
+
+def test_long_work_prints_lines_where_no_bar_can_be_drawn(capsys, monkeypatch):
+    now = iter([0.0, 10.0, 31.0, 31.0, 40.0, 62.0, 62.0])
+    monkeypatch.setattr("thermorender.progress.time.monotonic", lambda: next(now))
+    with progress() as report:
+        for share in (0.1, 0.4, 0.5, 0.9):
+            report("light traced", share)
+    assert capsys.readouterr().err == "light traced: 40%\nlight traced: 90%\n"

@@ -55,7 +55,7 @@ def with_found(
     known: Path | None, cover: MappedCover | None, picture: Photograph, buildings: Sequence[Outline] = ()
 ) -> tuple[dict[str, Any] | None, NDArray[np.bool_], tuple[str, ...]]:
     """Return (GeoJSON of a file's shapes and of what is found beside them, None if that is nothing; the texels that
-    are water, roofs or one material by these, (h, w) bool; sentences on what is found). `cover` is what the file states.
+    are water, roofs or one material by these, (h, w) bool; sentences). `cover` is what the file states.
 
     Found are pools, unless the file states water or a material there, and `buildings` by their height: roofs are of
     roof materials, whatever grows around them.
