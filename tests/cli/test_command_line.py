@@ -124,8 +124,10 @@ def test_outputs_of_the_wrong_kind_are_refused_before_any_work(words, output, fr
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
-def test_terminated_process_cleans_up(tmp_path):
-    """Terminated by SIGTERM, as `timeout`, `docker stop` and systemd do."""
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_terminated_process_cleans_up(tmp_path, name):
+    """Terminated by SIGTERM, as `timeout`, `docker stop` and systemd do, or by the end of its terminal."""
+    number = getattr(signal, name)
     folder = tmp_path / "new"
     command = [sys.executable, "-m", "thermorender", "make-scene", "heath", "--size-m", "100", "-o", folder / "scene"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
@@ -135,9 +137,9 @@ def test_terminated_process_cleans_up(tmp_path):
         # The folder may be renamed while glob reads it.
         with suppress(FileNotFoundError):
             begun = any(folder.glob(".scene*.part/*"))
-    process.send_signal(signal.SIGTERM)
+    process.send_signal(number)
     _, errors = process.communicate(timeout=60)
-    assert (process.returncode, errors) == (128 + signal.SIGTERM, b"") and not folder.exists()
+    assert (process.returncode, errors) == (128 + number, b"") and not folder.exists()
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")

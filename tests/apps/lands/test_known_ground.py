@@ -282,3 +282,11 @@ def test_a_shape_of_grass_over_the_plot_leaves_found_roofs_of_roof_materials(sur
     assert all("roof" in kinds_of(part.name) for number in seen for part, _ in parts_of(scene.materials[number]))
     stated = json.loads((tmp_path / "s" / "known.geojson").read_text())["features"]
     assert [each["properties"].get("building") for each in stated] == [None, None, "yes", "yes"]
+
+
+@pytest.mark.parametrize("outlined", [(), (HIGH,)])
+def test_houses_that_outlines_lack_stay_houses_and_are_named(survey, tmp_path, outlined):
+    given = [(area, {"building": "yes"}) for area in outlined] or [((2, 42, 8, 46), {"landuse": "grass"})]
+    _, made = imported(survey, tmp_path / "s", known=shapes(tmp_path / "k.geojson", *given))
+    assert (made["buildings"], made["trees"]) == (2, 0)
+    assert any("1 smooth, high parts outside of all outlines" in note for note in made["known"]) == bool(outlined)
