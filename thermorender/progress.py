@@ -1,11 +1,14 @@
 """Bars for long work: on a terminal, and in a notebook."""
 
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from html import escape
 from typing import Any
 
+# Time between the lines of a log [s].
+_EVERY_S = 30.0
 # Called with (what, share done).
 Progress = Callable[[str, float], object]
 # (do, units) → do(unit) of each, in order: `map`, or what spreads the units over the workers of a cluster.
@@ -20,14 +23,17 @@ def in_notebook() -> bool:
 
 @contextmanager
 def progress() -> Iterator[Progress]:
-    """Yield a function (what, share done) that draws a bar on a terminal and nothing elsewhere."""
+    """Yield a function (what, share done) that draws a bar on a terminal, and prints a line now and then elsewhere."""
     from rich.console import Console
     from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bars
 
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     console = Console(stderr=True)
-    with Bars(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
+    if not console.is_terminal:
+        yield _lines()
+        return
+    with Bars(*columns, console=console, transient=True) as bars:
         tasks: dict[str, Any] = {}
 
         def report(what: str, share: float) -> None:
@@ -37,6 +43,19 @@ def progress() -> Iterator[Progress]:
             bars.update(tasks[key], completed=share, description=what)
 
         yield report
+
+
+def _lines(every_s: float = _EVERY_S) -> Progress:
+    """A function that prints what is done to a log, at most once in a time [s]."""
+    last = time.monotonic()
+
+    def report(what: str, share: float) -> None:
+        nonlocal last
+        if time.monotonic() - last >= every_s:
+            last = time.monotonic()
+            print(f"{what}: {share:.0%}", file=sys.stderr, flush=True)
+
+    return report
 
 
 @contextmanager

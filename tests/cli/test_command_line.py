@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from thermorender.cli import registry
+from thermorender.progress import progress
 
 
 def verbs(command=None, path=()):
@@ -123,8 +124,10 @@ def test_outputs_of_the_wrong_kind_are_refused_before_any_work(words, output, fr
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
-def test_terminated_process_cleans_up(tmp_path):
-    """Terminated by SIGTERM, as `timeout`, `docker stop` and systemd do."""
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_terminated_process_cleans_up(tmp_path, name):
+    """Terminated by SIGTERM, as `timeout`, `docker stop` and systemd do, or by the end of its terminal."""
+    number = getattr(signal, name)
     folder = tmp_path / "new"
     command = [sys.executable, "-m", "thermorender", "make-scene", "heath", "--size-m", "100", "-o", folder / "scene"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
@@ -134,9 +137,9 @@ def test_terminated_process_cleans_up(tmp_path):
         # The folder may be renamed while glob reads it.
         with suppress(FileNotFoundError):
             begun = any(folder.glob(".scene*.part/*"))
-    process.send_signal(signal.SIGTERM)
+    process.send_signal(number)
     _, errors = process.communicate(timeout=60)
-    assert (process.returncode, errors) == (128 + signal.SIGTERM, b"") and not folder.exists()
+    assert (process.returncode, errors) == (128 + number, b"") and not folder.exists()
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
@@ -169,3 +172,12 @@ def test_a_warning_of_the_package_is_a_note_and_another_one_stays():
     made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert made.returncode == 0 and "note: nothing moves\n" in made.stderr
     assert "UserWarning: of a library" in made.stderr and "ThermorenderWarning" not in made.stderr
+
+
+def test_long_work_prints_lines_where_no_bar_can_be_drawn(capsys, monkeypatch):
+    now = iter([0.0, 10.0, 31.0, 31.0, 40.0, 62.0, 62.0])
+    monkeypatch.setattr("thermorender.progress.time.monotonic", lambda: next(now))
+    with progress() as report:
+        for share in (0.1, 0.4, 0.5, 0.9):
+            report("light traced", share)
+    assert capsys.readouterr().err == "light traced: 40%\nlight traced: 90%\n"

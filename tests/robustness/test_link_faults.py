@@ -225,7 +225,7 @@ def started(folder, *options):
     return process, int(port), Path(token)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, *slow(signal.SIGINT)])
+@pytest.mark.parametrize("number", [signal.SIGTERM, *slow(signal.SIGINT, signal.SIGHUP)])
 def test_the_command_serves_and_stops_cleanly(tmp_path, number):
     process, port, token = started(tmp_path, "--camera", "boson-640", "--map", "fok-1to1")
     try:

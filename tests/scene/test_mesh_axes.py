@@ -162,6 +162,15 @@ def test_an_object_in_another_frame_or_unit_is_named(tmp_path, change, words, ke
         assert np.allclose(triangles(folder, 1), triangles(with_object(tmp_path / "t", CAR), 1), atol=1e-3)
 
 
+def test_a_level_sheet_whose_faces_look_down_is_named_and_the_advice_mends_it(tmp_path):
+    sheet = trimesh.Trimesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 2, 1], [0, 3, 2]])
+    folder = with_object(tmp_path / "s", sheet)
+    (doubt,) = doubts(folder)
+    assert "has faces that look down, whose backs a camera sees; write flip = true" in doubt
+    follow(folder, doubt, '[[object]]\nname = "car"')
+    assert doubts(folder) == []
+
+
 def test_an_object_larger_than_its_terrain_or_of_millimetres_is_named(tmp_path):
     long = trimesh.creation.box([2.0, 80.0, 2.0]).apply_translation([0, 0, 1])
     assert "is 80 m long, longer than the terrain of 63 m" in doubts(with_object(tmp_path / "s", long))[0]

@@ -100,12 +100,16 @@ def test_wrong_areas_are_refused_in_one_sentence(scene, tmp_path):
     (tmp_path / "line.geojson").write_text(
         '{"features": [{"properties": {}, "geometry": {"type": "LineString", "coordinates": [[21, 52], [22, 52]]}}]}'
     )
+    # A projected CRS without the member "crs".
+    corners = [[500000, 5780000], [500010, 5780000], [500010, 5779990], [500000, 5780000]]
+    metres = {"features": [{"geometry": {"type": "Polygon", "coordinates": [corners]}}]}
     cases = [
         (scene, ([(0, 0), (1, 1)], 0.9), "is not a polygon; give three or more"),
         (scene, ("none.geojson", 0.9), "none.geojson cannot be read: No such file"),
         (scene, (tmp_path / "list.geojson", 0.9), "is not a GeoJSON FeatureCollection"),
         (scene, (tmp_path / "line.geojson", 0.9), "feature 1 is not a polygon"),
         (scene, ({"features": [{}]}, 0.9), "^GeoJSON, feature 1 is not a polygon"),
+        (scene, (metres, 0.9), "feature 1 has corners that are not coordinates of .*; give GeoJSON in longitude and"),
         (scene, ({"name": "roofs"}, 0.9), "^roofs is not a GeoJSON FeatureCollection"),
         (scene, (np.add(ROOF, 500.0), 0.9), "covers no texel of .*orthophoto.tif; draw it on the terrain"),
         (scene, (plain,), "has a polygon without the property 'material'; give a material"),

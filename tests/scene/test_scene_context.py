@@ -349,6 +349,14 @@ def test_tags_name_kinds_of_material(tmp_path, tags, kinds):
     assert known.cases == (kinds,)
 
 
+def test_shares_are_of_what_no_later_shape_covers(tmp_path):
+    path = write_raster(tmp_path / "o.tif", np.zeros((3, 64, 64), np.uint8), 0.5)
+    paving = ({"material": "pavement_concrete"}, "Polygon", box(2, 2, 18, 18))
+    pool = ({"leisure": "swimming_pool"}, "Polygon", box(6, 6, 14, 14))
+    known = read_mapped_cover(shapes(tmp_path / "a.geojson", paving, pool), grid_of(path), 0.5)
+    assert "(leisure=swimming_pool 0.0%, material=pavement_concrete 25.0%)" in known.notes[0]
+
+
 def test_polygons_without_tags_are_buildings_unless_another_feature_has_some(tmp_path):
     path = write_raster(tmp_path / "o.tif", np.zeros((3, 64, 64), np.uint8), 0.5)
     footprint = ({"height": 6.0, "confidence": -1.0}, "Polygon", box(2, 2, 9, 9))

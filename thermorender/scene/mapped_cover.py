@@ -74,6 +74,11 @@ class MappedCover:
     cases: tuple[tuple[str, ...] | str, ...]
     notes: tuple[str, ...]  # What was used and what was not, one sentence each
 
+    def states(self, kind: str) -> NDArray[np.bool_]:
+        """Return the texels, (h, w) bool, whose case allows a kind of material or is one material."""
+        known = np.array([False, *(isinstance(case, str) or kind in case for case in self.cases)])
+        return np.asarray(known[self.number])
+
     def beyond(self, materials: Sequence[str]) -> list[str]:
         """Return the materials of cases that allow none of those given, one for each."""
         return list(dict.fromkeys(

@@ -1,6 +1,6 @@
 """Areas of the terrain whose material an edit names: polygons of a map or of the local frame, on the cells of a map."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -76,7 +76,12 @@ def areas(given: Any, place: Place, ground: Ground) -> list[tuple[Any, str | Non
             if geometry["type"] not in _POLYGONS:
                 raise ValueError
             name = about.get("material") if isinstance(about, Mapping) else None
+            corners = np.array(list(_corners(geometry["coordinates"])), np.float64).reshape(-1, 2)
+            if crs.is_geographic and (np.abs(corners) > (360.0, 90.0)).any():
+                raise _not_of(f"{name_of(given)}, feature {number}", crs)
             found.append((transform_geom(crs, place.crs, geometry), name))
+        except ThermorenderError:
+            raise
         except Exception:  # GDAL has many exception types for malformed features
             raise ThermorenderError(
                 f"{name_of(given)}, feature {number} is not a polygon; export polygons from a GIS"
@@ -98,11 +103,24 @@ def pixels_of(corners: Any, crs: Any, grid: Grid, where: str) -> NDArray[np.floa
         if not (np.abs(found) < _FARTHEST_PX).all():
             raise ValueError
     except Exception:  # GDAL's errors share no public base class
-        raise ThermorenderError(
-            f"{where} has corners that are not coordinates of {crs.to_string()}; give GeoJSON in longitude and "
-            "latitude, or name its CRS in a 'crs' member"
-        ) from None
+        raise _not_of(where, crs) from None
     return found
+
+
+def _not_of(where: str, crs: Any) -> ThermorenderError:
+    return ThermorenderError(
+        f"{where} has corners that are not coordinates of {crs.to_string()}; give GeoJSON in longitude and latitude, "
+        "or name its CRS in a 'crs' member"
+    )
+
+
+def _corners(coordinates: Any) -> Iterator[Any]:
+    """The corners (x, y) in nested lists of coordinates."""
+    if coordinates and not isinstance(coordinates[0], list):
+        yield coordinates[:2]
+    else:
+        for each in coordinates:
+            yield from _corners(each)
 
 
 def part_of(grid: Grid, low: ArrayLike, high: ArrayLike) -> tuple[slice, slice]:

@@ -15,6 +15,7 @@ from thermorender.apps.lands.import_terrain import import_terrain
 from thermorender.apps.lands.pools import pools
 from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
+from thermorender.learned.emissivity.kinds import kinds_of
 from thermorender.materials.extended import within_band
 from thermorender.materials.library import load_library
 from thermorender.materials.mixture import parts_of
@@ -271,3 +272,21 @@ def tr_corners(area):
     half = 0.5 * SIDE
     return [(west - half, half - north), (east - half, half - north), (east - half, half - south),
             (west - half, half - south)]  # fmt: skip
+
+
+def test_a_shape_of_grass_over_the_plot_leaves_found_roofs_of_roof_materials(survey, tmp_path):
+    lawn = shapes(tmp_path / "lawn.geojson", ((1, 1, 47, 47), {"landuse": "grass"}))
+    scene, _ = imported(survey, tmp_path / "s", known=lawn, weather=survey / "st.csv", time="2018-07-24T12:00Z")
+    (roofs,) = (each for each in scene.surfaces if each.name.split(":")[-1] == "roofs")
+    seen = np.unique(roofs.material[within((8, 8, 16, 14), 0.5)])
+    assert all("roof" in kinds_of(part.name) for number in seen for part, _ in parts_of(scene.materials[number]))
+    stated = json.loads((tmp_path / "s" / "known.geojson").read_text())["features"]
+    assert [each["properties"].get("building") for each in stated] == [None, None, "yes", "yes"]
+
+
+@pytest.mark.parametrize("outlined", [(), (HIGH,)])
+def test_houses_that_outlines_lack_stay_houses_and_are_named(survey, tmp_path, outlined):
+    given = [(area, {"building": "yes"}) for area in outlined] or [((2, 42, 8, 46), {"landuse": "grass"})]
+    _, made = imported(survey, tmp_path / "s", known=shapes(tmp_path / "k.geojson", *given))
+    assert (made["buildings"], made["trees"]) == (2, 0)
+    assert any("1 smooth, high parts outside of all outlines" in note for note in made["known"]) == bool(outlined)

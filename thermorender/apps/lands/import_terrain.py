@@ -96,9 +96,8 @@ def import_terrain(
     photograph, shapes = None, None
     if picture is not None and (day is not None or known is not None):
         photograph = Photograph(*picture, texel_m, height, posts, post_m)
-        stated_cover = np.zeros(picture.valid.shape, bool) if cover is None else cover.number > 0
         found = () if solid is None else solid.found
-        shapes, stated_cover, words = with_found(known, stated_cover, photograph, found)
+        shapes, stated_cover, words = with_found(known, cover, photograph, found)
         notes = (*notes, *words)
     terrain = {"elevation": "elevation.tif", "orthophoto": "orthophoto.tif" if picture else None,
                "height_reference": reference, "geoid_undulation_m": settings.geoid_undulation_m,

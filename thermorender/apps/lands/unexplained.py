@@ -14,6 +14,7 @@ from thermorender.apps.lands.solids.detection import Outline, inside
 from thermorender.formats import finite_json, write_json
 from thermorender.learned.emissivity.elevation import above_ground
 from thermorender.learned.emissivity.mapping import COARSEST_RATIO, load_map, map_materials
+from thermorender.scene.mapped_cover import MappedCover
 from thermorender.scene.patch import read_features
 from thermorender.scene.raster import Grid, lon_lat, onto
 from thermorender.scene.spec import DEFAULT_CONFIDENCE
@@ -51,20 +52,25 @@ class Photograph:
 
 
 def with_found(
-    known: Path | None, stated: NDArray[np.bool_], picture: Photograph, buildings: Sequence[Outline] = ()
+    known: Path | None, cover: MappedCover | None, picture: Photograph, buildings: Sequence[Outline] = ()
 ) -> tuple[dict[str, Any] | None, NDArray[np.bool_], tuple[str, ...]]:
-    """Return (GeoJSON of a file's shapes and of what is found beside them, None if that is nothing; the texels whose
-    materials these state, (h, w) bool; sentences on what is found). `stated` is where the file does so.
+    """Return (GeoJSON of a file's shapes and of what is found beside them, None if that is nothing; the texels that
+    are water, roofs or one material by these, (h, w) bool; sentences). `cover` is what the file states.
 
-    Found are pools, and `buildings` by their height: roofs are of roof materials, whatever grows around them.
+    Found are pools, unless the file states water or a material there, and `buildings` by their height: roofs are of
+    roof materials, whatever grows around them.
     """
     from rasterio.warp import transform_geom
 
+    empty = np.zeros(picture.valid.shape, bool)
+    # A shape of land, such as grass, states what is around a pool or a patch, not what it is.
+    as_water, roof = (empty, empty) if cover is None else (cover.states("water"), cover.states("roof"))
+    stated = as_water | roof
     number = pools(picture.rgb, picture.valid, picture.texel_m, picture.above_m())
     shapes = []
     for k in range(1, int(number.max()) + 1):
         own = number == k
-        if stated[own].mean() < 0.5:
+        if as_water[own].mean() < 0.5:
             shapes.append((_outline(own, picture.grid), own))
             stated = stated | own
     if not shapes and not buildings:

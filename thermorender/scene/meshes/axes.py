@@ -15,6 +15,8 @@ _SUNK = 0.1
 _FACING = 0.25
 # Body whose faces look inwards: opening as a share of its area, and mean sine of their angles to the outward direction.
 _OPEN, _INWARD = 0.3, -0.5
+# A sheet is level if its vector area is at least this share of its area, downwards here.
+_LEVEL = 0.7
 # Faces whose corners are in memory at once.
 _AT_ONCE = 1 << 20
 
@@ -90,8 +92,9 @@ def object_doubts(
             f"{what} has {sunk:.3g} m of its {extent[2]:.3g} m in the ground; {why} raise it by {sunk:.3g} m (the "
             "third number of its position, or above_ground_m)"
         )
-    if _inward(triangles):
-        found.append(f"{what} has faces that look inwards, whose backs a camera sees; {_flip(axes)} in its table")
+    facing = _wrong_way(triangles)
+    if facing:
+        found.append(f"{what} has faces that look {facing}, whose backs a camera sees; {_flip(axes)} in its table")
     return found
 
 
@@ -119,12 +122,12 @@ def vector_area(vertices: _Floats, faces: NDArray[np.int32]) -> _Floats:
     return found
 
 
-def _inward(triangles: _Floats) -> bool:
-    """Whether the faces of a nearly closed body look towards its middle."""
+def _wrong_way(triangles: _Floats) -> str:
+    """Where the faces look: "inwards" in a nearly closed body, "down" in a level sheet; "" if where they should."""
     across = _across(triangles)
-    area = np.linalg.norm(across, axis=1)
-    if np.linalg.norm(across.sum(axis=0)) > _OPEN * area.sum():
-        return False
+    area, whole = float(np.linalg.norm(across, axis=1).sum()), across.sum(axis=0)
+    if np.linalg.norm(whole) > _OPEN * area:
+        return "down" if whole[2] < -_LEVEL * area else ""
     outward = triangles.mean(axis=1) - 0.5 * (triangles.min(axis=(0, 1)) + triangles.max(axis=(0, 1)))
     along = np.einsum("fi,fi->f", across, outward)
-    return bool(along.sum() < _INWARD * np.abs(along).sum())
+    return "inwards" if along.sum() < _INWARD * np.abs(along).sum() else ""
