@@ -2,6 +2,7 @@
 
 import json
 import struct
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -181,35 +182,26 @@ def _write_houses(path):
     path.write_text(json.dumps(_HOUSES))
 
 
-def _on_grid(read):
-    """The reader of a GeoJSON on the grid of an orthophoto, read once."""
-    grids = {}
+@cache
+def _grid(raster):
+    """The grid of an orthophoto, read once."""
+    from thermorender.scene.raster import grid_of
 
-    def reading(path):
-        from thermorender.scene.raster import grid_of
-
-        raster = path.with_name("orthophoto.tif")
-        if raster not in grids:
-            grids[raster] = grid_of(raster)
-        return read(path, grids[raster])
-
-    return reading
+    return grid_of(raster)
 
 
 @reader("outlines", "houses.geojson", _write_houses)
-@_on_grid
-def _outlines(path, grid):
+def _outlines(path):
     from thermorender.apps.lands.solids.outlines import outlines_in
 
-    return [outline.rings for outline in outlines_in(path, grid)[0]]
+    return [outline.rings for outline in outlines_in(path, _grid(path.with_name("orthophoto.tif")))[0]]
 
 
 @reader("mapped cover", "houses.geojson", _write_houses)
-@_on_grid
-def _mapped(path, grid):
+def _mapped(path):
     from thermorender.scene.mapped_cover import read_mapped_cover
 
-    return read_mapped_cover(path, grid, 1.0).number
+    return read_mapped_cover(path, _grid(path.with_name("orthophoto.tif")), 1.0).number
 
 
 # --- poses and lenses of photogrammetry -------------------------------------------------------------------------
