@@ -1,8 +1,7 @@
 """The material of each texel and object: emissivity of the scene file, replacements by edits, and spectral bands."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +13,6 @@ from thermorender.materials.material import Material, grey
 from thermorender.materials.mixture import parts_of
 from thermorender.scene.folder import SceneFiles
 from thermorender.scene.map_view import MapView
-from thermorender.scene.mapped_cover import MappedCover, read_mapped_cover
 from thermorender.scene.material_map import Context, Picture, context_of, learned_materials, model_of
 from thermorender.scene.patch import Patch
 from thermorender.scene.spec import EmissivitySpec, SurfaceSpec
@@ -299,18 +297,16 @@ def _learned_mesh(
             "bake its colours into a texture, or give materials in [[surface]] tables"
         )
     pictures: list[Picture] = []
-    known = _known_on_mesh(files, emissivity.known, materials.where) if emissivity.known else None
+    context = _mesh_context(files, emissivity, materials.where)
     for k in pictured:
         surface = files.ground[k]
         used = used_texels(surface)
         colour = surface.colour if used.all() else fill(surface.colour, nearest_valid(used))
-        context = None
-        if known is not None and files.map_view is not None:
-            own = replace(known, number=files.map_view.onto(k, known.number))
-            context = Context(None, own, () if pictures else known.notes)
+        own = None if files.map_view is None else context.onto(files.map_view, k)
         name = f"{materials.where}: the texture of surface {surface.name!r}"
-        pictures.append(Picture(colour, used, surface.texel_m, context, name))
+        pictures.append(Picture(colour, used, surface.texel_m, own, name))
     number, unknown = _learned(pictures, emissivity, materials, report, no_snow)
+    report["context"] = (*report["context"], *context.notes)
     assert emissivity.fallback is not None
     rest = materials.index(emissivity.fallback, "emissivity.fallback")
     of = dict(zip(pictured, zip(number, unknown, strict=True), strict=True))
@@ -324,15 +320,18 @@ def _learned_mesh(
     return found
 
 
-def _known_on_mesh(files: SceneFiles, path: Path, where: str) -> MappedCover:
-    """The MappedCover of a GeoJSON on the cells of a mesh's map."""
-    if files.map_view is None or files.frame is None:
-        raise ThermorenderError(
-            f"{where}: emissivity.known restricts what is seen from above, and this mesh has walls or leaves only; "
-            "leave it out"
-        )
-    grid = files.map_view.grid
-    return read_mapped_cover(path, grid, texel_size_m(grid, files.frame), walls=True)
+def _mesh_context(files: SceneFiles, emissivity: EmissivitySpec, where: str) -> Context:
+    """The Context of the cells of a mesh's map, with the mesh as its surface model; a mesh on no map has none."""
+    view = files.map_view
+    if view is None or files.frame is None:
+        if emissivity.known:
+            raise ThermorenderError(
+                f"{where}: emissivity.known restricts what is seen from above, and this mesh has walls or leaves only; "
+                "leave it out"
+            )
+        return Context(None, None, ("heights are not used: the mesh is on no map",))
+    cell_m = texel_size_m(view.grid, files.frame)
+    return context_of(emissivity, *view.heights(cell_m), view.grid, cell_m, walls=True)
 
 
 def _painted(

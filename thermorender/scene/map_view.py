@@ -30,6 +30,9 @@ _MOST_CELLS = 4096
 # Points of faces that are compared at once, and vertices that a fit takes.
 _AT_ONCE, _FITTED = 2_000_000, 20_000
 
+# Distance of the posts that stand for a mesh as a surface model [m].
+_POST_M = 0.5
+
 _Floats = NDArray[np.float64]
 
 
@@ -40,6 +43,25 @@ class MapView:
     grid: Grid  # (H, W) cells
     # Of each surface: (h, w) int32 flat index of the cell that shows each texel; −1 for none
     cells: tuple[NDArray[np.int32], ...]
+    # Of a mesh: (H, W) local height of the highest face over the middle of each cell [m]; NaN for none
+    top: _Floats | None = None
+
+    def heights(self, cell_m: float) -> tuple[_Floats, Grid]:
+        """Return (local heights [m] of a mesh's highest faces, their Grid) for cells of `cell_m` [m].
+
+        Posts are cells `_POST_M` apart, or all of them where they are wider.
+        """
+        from rasterio import Affine
+
+        assert self.top is not None
+        step = max(1, round(_POST_M / cell_m))
+        height = self.top[::step, ::step]
+        # The middle of a post is that of its cell.
+        t, off = self.grid.transform, 0.5 - 0.5 * step
+        transform = Affine(
+            step * t.a, step * t.b, t.c + off * (t.a + t.b), step * t.d, step * t.e, t.f + off * (t.d + t.e)
+        )
+        return height, Grid(self.grid.crs, transform, height.shape[0], height.shape[1], self.grid.name)
 
     def seen(self, number: int) -> NDArray[np.bool_]:
         """Return which texels of a surface the map shows, (h, w) bool."""
@@ -77,7 +99,7 @@ def of_mesh(ground: Sequence[Surface], textures: Sequence[Texture], place: Place
     corner = np.concatenate([pixel[k] for k in order])
     up = np.concatenate([shown[k].up for k in order])
     owner = np.repeat(order, [len(shown[k].face) for k in order])
-    top = _highest(corner, up, (grid.height, grid.width))
+    top, level = _highest(corner, up, (grid.height, grid.width))
     cells = []
     for number, surface in enumerate(ground):
         if number not in shown:
@@ -88,7 +110,7 @@ def of_mesh(ground: Sequence[Surface], textures: Sequence[Texture], place: Place
             cells.append(_rimmed(cell, seen))
         else:
             cells.append(_rimmed(*_cells_of(surface, shown[number], pixel[number], top, corner, up)))
-    return MapView(grid, tuple(cells))
+    return MapView(grid, tuple(cells), np.where(top < 0, np.nan, level))
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,8 +171,8 @@ def _north_up(ground: Sequence[Surface], shown: dict[int, _Shown], place: Place)
     return Grid(place.crs, Affine(across, 0.0, low[0], 0.0, -along, high[1]), rows, columns, "the scene's map")
 
 
-def _highest(corner: _Floats, up: _Floats, shape: tuple[int, int]) -> NDArray[np.int64]:
-    """The number of the highest face over the middle of each cell, (H, W); −1 for none.
+def _highest(corner: _Floats, up: _Floats, shape: tuple[int, int]) -> tuple[NDArray[np.int64], _Floats]:
+    """(number of the highest face over the middle of each cell, its height there), (H, W) each; (−1, −∞) for none.
 
     `corner` (n, 3, 2) are (column, row) of the faces' corners, `up` (n, 3) their heights.
     """
@@ -177,7 +199,7 @@ def _highest(corner: _Floats, up: _Floats, shape: tuple[int, int]) -> NDArray[np
         order = np.flatnonzero(higher)[np.argsort(level[higher], kind="stable")]
         top[row[order], column[order]], height[row[order], column[order]] = own[order], level[order]
         start = stop
-    return top
+    return top, height
 
 
 def _weights(corner: _Floats, point: NDArray[Any]) -> _Floats:
@@ -205,7 +227,7 @@ def _cells_of(
     """(cell, whether it shows the texel) of each texel (h, w) of a surface whose texture is not the map's."""
     shape = surface.flags.shape
     uv = (surface.uv[shown.face] * shape[::-1]).astype(np.float64)
-    face = _highest(uv, shown.up, shape)
+    face, _ = _highest(uv, shown.up, shape)
     row, column = np.nonzero(face >= 0)
     own = face[row, column]
     weight = _weights(uv[own], np.column_stack([column, row]) + 0.5)

@@ -21,6 +21,7 @@ from thermorender.materials.material import Material
 from thermorender.materials.mixture import palette
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene import terrain
+from thermorender.scene.map_view import MapView
 from thermorender.scene.mapped_cover import MappedCover, read_mapped_cover
 from thermorender.scene.orthophoto import read_colour
 from thermorender.scene.raster import Grid, grid_of, onto
@@ -44,11 +45,17 @@ _DISTINCT = 20.0
 
 @dataclass(frozen=True, eq=False)
 class Context:
-    """What a scene knows of its ground beside the orthophoto."""
+    """What a scene knows of its ground beside the orthophoto, or beside the textures of a mesh."""
 
     case: NDArray[np.uint8] | None  # (h, w) uint8 cases of `elevation.case_of`, where heights tell materials apart
     known: MappedCover | None
     notes: tuple[str, ...]  # What is used and what is not, one sentence each
+
+    def onto(self, view: MapView, number: int) -> "Context":
+        """Return the Context, without notes, of the texels of a surface that a map shows; none is known of others."""
+        case = None if self.case is None else view.onto(number, self.case)
+        known = None if self.known is None else replace(self.known, number=view.onto(number, self.known.number))
+        return Context(case, known, ())
 
     def evidence(self, materials: Sequence[str]) -> list[Evidence]:
         """Return the Evidence on materials by name."""
@@ -63,15 +70,19 @@ class Picture:
     colour: NDArray[np.uint8]  # (h, w, 3) uint8 sRGB, holes filled
     valid: NDArray[np.bool_]  # (h, w) bool false where holes were filled, and where no ground shows the texel
     texel_m: float
-    context: Context | None = None  # Of an orthophoto
+    context: Context | None = None  # Of a picture on a map
     name: str = "the picture"  # For messages
 
 
 def context_of(
-    source: EmissivitySpec, height: NDArray[np.float64], height_grid: Grid, texels: Grid, texel_m: float
-) -> Context:
-    """Return the Context of an orthophoto: of heights (h, w) [m] on a Grid of the same CRS, and of `source.known`."""
-    known = read_mapped_cover(source.known, texels, texel_m) if source.known else None
+    source: EmissivitySpec, height: NDArray[np.float64], height_grid: Grid, texels: Grid, texel_m: float,
+    walls: bool = False,
+) -> Context:  # fmt: skip
+    """Return the Context of an orthophoto: of heights (h, w) [m] on a Grid of the same CRS, and of `source.known`.
+
+    With `walls` a building's material is that of its walls.
+    """
+    known = read_mapped_cover(source.known, texels, texel_m, walls) if source.known else None
     case, why = None, "emissivity.heights is false"
     if source.heights:
         post_m = texel_m * float(np.sqrt(abs(height_grid.transform.determinant / texels.transform.determinant)))

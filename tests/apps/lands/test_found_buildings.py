@@ -63,7 +63,7 @@ def test_a_wood_as_smooth_as_a_roof_is_told_by_its_colour():
     height, covered = house(0.0, 5.0, 20.0)
     grid = Grid(None, Affine(POST_M, 0.0, 0.0, 0.0, -POST_M, 0.0), SIDE, SIDE)
     bare = detection.ground_below(height, POST_M)
-    for colour, count in (((70, 96, 52), 0), ((120, 120, 118), 1), ((150, 90, 70), 1)):
+    for colour, count in (((70, 96, 52), 0), ((120, 120, 118), 1), ((150, 90, 70), 1), ((90, 190, 205), 1)):
         rgb = np.full((SIDE, SIDE, 3), 130, np.uint8)
         rgb[covered] = colour
         green = detection.is_green(rgb, np.ones((SIDE, SIDE), bool), grid, grid)

@@ -20,6 +20,7 @@ from thermorender.materials.extended import within_band
 from thermorender.materials.library import load_library
 from thermorender.materials.mixture import parts_of
 from thermorender.scene import open_ground
+from thermorender.scene.folder import read_files
 
 SIDE, CORNER = 48, (500000.0, 5780000.0)
 # Posts of 1 m, texels of 0.5 m. Two houses, 8 m and 5 m high, a lawn, and a pool of 12 by 6 m, as (west, north) to
@@ -159,6 +160,49 @@ def test_rasters_of_classes_lie_on_ground_and_roofs(survey, tmp_path):
     assert not is_of(found, "water", "walls").any()
     # What the map does not show, below the roofs, has the nearest class, and not that of gaps in the raster.
     np.testing.assert_array_equal(is_of(found, "asphalt", "ground"), within(gap, 0.5))
+
+
+# --- heights ------------------------------------------------------------------------------------------------------
+
+
+def test_a_light_yard_on_the_ground_is_of_no_roof_material(tmp_path):
+    """The yard is as light as membrane roofs; the mesh shows that it lies on the ground."""
+    write_survey(tmp_path, (185, 185, 180))
+    weather = {"weather": tmp_path / "st.csv", "time": "2018-07-24T12:00Z"}
+    found, _ = imported(tmp_path, tmp_path / "s", **weather)
+    text = (tmp_path / "s" / "scene.toml").read_text()
+    (tmp_path / "s" / "scene.toml").write_text(text.replace("[emissivity]\n", "[emissivity]\nheights = false\n"))
+    blind = tr.load_scene(tmp_path / "s")
+
+    def of_roofs(scene):
+        """Mean share of materials that only roofs have, in the yard."""
+        (ground,) = (each for each in scene.surfaces if each.name == "world:ground")
+        share = [sum(part for each, part in parts_of(one) if kinds_of(each.name) == ("roof",))
+                 for one in scene.materials]  # fmt: skip
+        return float(np.array(share)[ground.material][within(POOL, 0.5)].mean())
+
+    assert of_roofs(blind) > 0.1 and of_roofs(found) < 0.02
+    (said,) = (one for one in found.emissivity_report["context"] if one.startswith("heights"))
+    share = re.fullmatch(
+        r"heights above the ground and slopes weigh the materials; (\d+)% of .* more than 2 m .*", said
+    )
+    assert share and float(share[1]) == pytest.approx(100.0 * 220.0 / 2304.0, abs=1.5)
+    assert "heights are not used: emissivity.heights is false" in blind.emissivity_report["context"]
+
+
+@pytest.mark.parametrize("cell_m", [0.5, 0.25])
+def test_the_map_of_a_mesh_has_the_heights_of_its_highest_faces(survey, tmp_path, cell_m):
+    found, _ = imported(survey, tmp_path / "s")
+    files = read_files(found.spec, "it")
+    height, grid = files.map_view.heights(cell_m)
+    assert grid.width == round(2 * SIDE * cell_m / 0.5)
+    x, y = grid.to_map(np.arange(grid.width) + 0.5, np.arange(grid.height)[:, None] + 0.5)
+    # Texels have their middles a quarter of a metre from the lines of half a metre.
+    east, south = x - CORNER[0], CORNER[1] - y
+    assert east.ravel()[:2] == pytest.approx((0.25, 0.25 + 0.25 / cell_m), abs=1e-3)
+    for (left, top, right, bottom), level in ((HIGH, 28.0), (LOW, 25.0), (POOL, 20.0)):
+        inner = (east > left + 1) & (east < right - 1) & (south > top + 1) & (south < bottom - 1)
+        np.testing.assert_allclose(height[inner] + files.frame.height_m, level, atol=0.02)
 
 
 # --- known shapes -------------------------------------------------------------------------------------------------
