@@ -10,6 +10,7 @@ from rasterio.crs import CRS
 import thermorender as tr
 from thermorender.apps.lands.import_settings import ThreeD
 from thermorender.apps.lands.import_terrain import import_terrain
+from thermorender.apps.lands.solids import clouds
 from thermorender.apps.lands.solids.clouds import read_cloud
 from thermorender.errors import ThermorenderError
 
@@ -254,3 +255,12 @@ def test_a_table_of_chunks_longer_than_its_file_is_refused(tmp_path):
     path.write_bytes(data)
     with pytest.raises(ThermorenderError, match="counts more records than it has bytes for"):
         read_cloud(path)
+
+
+def test_a_panic_of_the_decoder_is_a_sentence_and_an_interruption_stays(tmp_path):
+    panic = type("PanicException", (BaseException,), {})
+    with pytest.raises(ThermorenderError, match="cannot be read as a point cloud .PanicException: index out"):
+        with clouds._named(tmp_path / "a.laz"):
+            raise panic("index out of bounds")
+    with pytest.raises(KeyboardInterrupt), clouds._named(tmp_path / "a.laz"):
+        raise KeyboardInterrupt

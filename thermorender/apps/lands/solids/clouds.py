@@ -157,7 +157,10 @@ def _named(path: Path) -> Iterator[None]:
         yield
     except ThermorenderError:
         raise
-    except Exception as error:
+    except BaseException as error:
+        # A panic of the LAZ decoder, which is written in Rust, is no Exception.
+        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
+            raise
         raise ThermorenderError(
             f"{path} cannot be read as a point cloud ({type(error).__name__}: {error}); give a whole LAS or LAZ file"
         ) from None
