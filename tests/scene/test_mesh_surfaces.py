@@ -217,7 +217,7 @@ def test_an_edit_of_a_group_of_an_obj_needs_its_name_in_the_scene_file(folder):
 BALANCE = 'source = "balance"'
 CLASS = 'source = "classes"\n'
 REFUSED = {
-    "surface 'tile' is not a node, group, material or texture of the mesh; did you mean 'tiles'? it has m:ground:south,":
+    "surface 'tile' is not a node, group, material or texture of the mesh; did you mean 'tiles'? it has m:ground:":
         {"more": ROOF.replace("tiles", "tile")},
     "surface 'tiles' and surface 'm:tiles' are the same triangles of 'm:tiles'; leave one of the two out":
         {"more": ROOF + ROOF.replace("tiles", "m:tiles")},

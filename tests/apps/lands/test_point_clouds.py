@@ -259,7 +259,7 @@ def test_a_table_of_chunks_longer_than_its_file_is_refused(tmp_path):
 
 def test_a_panic_of_the_decoder_is_a_sentence_and_an_interruption_stays(tmp_path):
     panic = type("PanicException", (BaseException,), {})
-    with pytest.raises(ThermorenderError, match="cannot be read as a point cloud .PanicException: index out"):
+    with pytest.raises(ThermorenderError, match=r"cannot be read as a point cloud .PanicException: index"):
         with clouds._named(tmp_path / "a.laz"):
             raise panic("index out of bounds")
     with pytest.raises(KeyboardInterrupt), clouds._named(tmp_path / "a.laz"):
