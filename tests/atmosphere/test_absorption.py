@@ -159,7 +159,7 @@ def test_zero_cross_section_is_interpolated_linearly(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"weight": None}, "has no array weight; give an .npz file as docs/architecture.md describes it"),
+        ({"weight": None}, "has no array weight; give an .npz file as docs/reference/file-formats.md describes it"),
         ({"weight": np.full((3, 16), 0.1)}, "weight sums to 1.6 over 7.5–9 µm; the sum must be 1"),
         ({"weight": np.full((3, 15), 1 / 15)}, r"cross_section_cm2 is .* but weight is \(3, 15\)"),
         ({"gas": np.array(["vapour", "vapour"])}, "gas holds 'vapour'; names must be unique"),

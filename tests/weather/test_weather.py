@@ -609,9 +609,9 @@ def test_altitudes_without_land_are_refused(altitude_m):
         declared_weather(spec, *PLACE[:2], altitude_m)
 
 
-def test_the_guide_names_the_existing_columns():
-    text = (Path(__file__).resolve().parents[2] / "docs" / "architecture.md").read_text("utf-8")
-    table = text.partition("## Weather")[2].partition("\n## ")[0].partition("| quantity |")[2]
+def test_the_reference_names_the_existing_columns():
+    text = (Path(__file__).resolve().parents[2] / "docs" / "reference" / "file-formats.md").read_text("utf-8")
+    table = text.partition("## Station CSV")[2].partition("\n## ")[0].partition("| quantity |")[2]
     named, last = set(), ""
     for name in re.findall(r"`([^`]+)`", table):
         # "_hpa" is the preceding name with that ending.

@@ -113,7 +113,7 @@ def read_absorption(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
     ThermorenderError
         The file is missing or not an .npz file, or an array is missing, of another type or shape, or impossible.
     """
-    give = "an .npz file as docs/architecture.md describes it"
+    give = "an .npz file as docs/reference/file-formats.md describes it"
     return read_arrays(path, "absorption data", _AXES, _first_wrong, give)
 
 
