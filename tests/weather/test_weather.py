@@ -611,7 +611,7 @@ def test_altitudes_without_land_are_refused(altitude_m):
 
 def test_the_reference_names_the_existing_columns():
     text = (Path(__file__).resolve().parents[2] / "docs" / "reference" / "file-formats.md").read_text("utf-8")
-    table = text.partition("## Station CSV")[2].partition("\n## ")[0].partition("| quantity |")[2]
+    table = text.partition("## Station CSV")[2].partition("| quantity |")[2].partition("\n\n")[0]
     named, last = set(), ""
     for name in re.findall(r"`([^`]+)`", table):
         # "_hpa" is the preceding name with that ending.
