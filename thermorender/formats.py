@@ -225,18 +225,34 @@ def decoded(data: bytes, flags: int) -> np.ndarray | None:
         cv2.utils.logging.setLogLevel(before)
 
 
+@contextmanager
+def largest_image(pixels: int | None) -> Iterator[None]:
+    """Let Pillow refuse larger images by their headers, without warnings for smaller ones; None: it refuses none."""
+    import warnings
+
+    from PIL import Image
+
+    before = Image.MAX_IMAGE_PIXELS
+    # Pillow warns above this number and refuses above twice as many.
+    Image.MAX_IMAGE_PIXELS = None if pixels is None else pixels // 2
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            yield
+    finally:
+        Image.MAX_IMAGE_PIXELS = before
+
+
 def picture_tags(path: PathLike) -> tuple[dict[int, Any], dict[int, Any], dict[int, Any], str]:
     """Return (tags, those of EXIF, those of GPS, XMP packet) of a picture of any size; ValueError if unreadable."""
     import warnings
 
     from PIL import Image
 
-    before = Image.MAX_IMAGE_PIXELS
     try:
-        with warnings.catch_warnings():
+        # No pixels are read, so their number does not matter.
+        with largest_image(None), warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            # No pixels are read, so their number does not matter.
-            Image.MAX_IMAGE_PIXELS = None
             with Image.open(path) as image:
                 exif = image.getexif()
                 inner, gps = (dict(exif.get_ifd(tag)) for tag in (_EXIF, _GPS))
@@ -244,8 +260,6 @@ def picture_tags(path: PathLike) -> tuple[dict[int, Any], dict[int, Any], dict[i
             text = packet if isinstance(packet, str) else bytes(packet or b"").decode("utf-8", "replace")
     except Exception as error:  # Pillow raises whatever damaged tags lead to
         raise ValueError(str(error)) from None
-    finally:
-        Image.MAX_IMAGE_PIXELS = before
     return tags, inner, gps, text
 
 

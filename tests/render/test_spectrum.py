@@ -107,9 +107,9 @@ def test_nodes_that_miss_the_tolerance_are_warned_of_and_counted_in_the_budget(m
     monkeypatch.setattr(spectrum, "MOST_NODES", 2)
     with pytest.warns(
         ThermorenderWarning, match=r"^tolerance_mk=5 is not reached with 2 .*: up to .* mK remain"
-    ) as told:
+    ) as caught:
         coarse = tr.Renderer(scene, rays=32)
-    accepted = float(str(told[0].message).partition("--tolerance-mk ")[2].split()[0])
+    accepted = float(str(caught[0].message).partition("--tolerance-mk ")[2].split()[0])
     assert TOLERANCE_MK < coarse.plan.spectrum.nodes_mk <= accepted
     assert any("above the tolerance of 5 mK" in why for _, _, why in coarse.plan.rows())
     pose = tr.pose(0, 0, 60, pitch_deg=-90)

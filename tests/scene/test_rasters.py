@@ -204,11 +204,11 @@ def test_heights_given_as_temperatures_are_named_and_warm_hills_are_not(tmp_path
         ("slopes", 290.0 + 5.0 * np.cos(rows / 4.0), False),
     ):
         folder = write_terrain(tmp_path / name, height=height, temperature=values)
-        with warnings.catch_warnings(record=True) as told:
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", ThermorenderWarning)
             assert load_scene(folder).surfaces
         words = "follows the heights of the terrain by 1.00 per metre, so it may hold heights"
-        assert [words in str(one.message) for one in told] == [True] * named
+        assert [words in str(one.message) for one in caught] == [True] * named
 
 
 @pytest.mark.parametrize("most", [24, 11], ids=["bilinear", "average"])

@@ -175,12 +175,12 @@ def test_a_margin_of_zeros_in_degrees_celsius_is_no_data(tmp_path):
             counts = ((celsius + low) / step).astype(np.int16 if low else kind)
             counts[:, 50:] = 0
             tifffile.imwrite(tmp_path / f"{name}{where}.tif", counts)
-            with warnings.catch_warnings(record=True) as told:
+            with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always", ThermorenderWarning)
                 found = read_temperature(tmp_path / f"{name}{where}.tif", (step, 273.15))
             assert np.isnan(found[:, 50:]).all() == blank and np.isfinite(found[:, :50]).all()
             assert np.abs(found[:, :50] - celsius[:, :50] - low - 273.15).max() <= max(step, 1e-4 if not low else 1.0)
-            assert [str(one.message)[:34] for one in told] == ["pixels of exactly 273.15 K, which "] * blank
+            assert [str(one.message)[:34] for one in caught] == ["pixels of exactly 273.15 K, which "] * blank
 
 
 @pytest.mark.parametrize("value", [-9999.0, 0.0, 50.0, 255.0, 655.35, 65535.0])
@@ -190,13 +190,13 @@ def test_a_margin_of_one_value_in_kelvin_is_no_data_with_a_note(tmp_path, value)
     kelvin = np.random.default_rng(3).uniform(285.0, 300.0, (40, 60))
     kelvin[:, 50:] = value
     tifffile.imwrite(tmp_path / "a.tif", kelvin.astype(np.float32))
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", ThermorenderWarning)
         found = read_temperature(tmp_path / "a.tif", (1.0, 0.0))
     # A sky of one temperature may be as cold as 255 K.
     kept = value == 255.0
     assert np.isnan(found[:, 50:]).all() == (not kept)
-    assert [str(one.message).split(",")[0] for one in told] == [f"pixels of exactly {value:g} K"] * (not kept)
+    assert [str(one.message).split(",")[0] for one in caught] == [f"pixels of exactly {value:g} K"] * (not kept)
     np.testing.assert_allclose(found[:, :50], kelvin[:, :50], rtol=1e-6)
 
 

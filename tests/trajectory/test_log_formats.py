@@ -663,9 +663,9 @@ def test_exchanged_latitude_and_longitude_are_named_with_a_mapping_that_mends_th
         cues = [cue.replace(old, new) for cue in cues]
     swapped = srt(tmp_path / "b.srt", cues)
     for anchor in (None, ANCHOR):
-        with pytest.raises(ThermorenderError, match=r"latitude and longitude exchanged; exchange the") as told:
+        with pytest.raises(ThermorenderError, match=r"latitude and longitude exchanged; exchange the") as caught:
             read(swapped, "dji-srt", anchor=anchor)
-    shipped, table = re.search(r"copy of (\S+\.toml) as format, with lines (.*) at its end", str(told.value)).groups()
+    shipped, table = re.search(r"copy of (\S+\.toml) as format, with lines (.*) at its end", str(caught.value)).groups()
     text = Path(shipped).read_text(encoding="utf-8") + table.replace(", ", "\n")
     assert "gimbal_pitch_deg" in table
     mapping = write(tmp_path / "m.toml", text)
@@ -740,8 +740,10 @@ def test_points_at_latitude_and_longitude_0_are_dropped_with_their_share(tmp_pat
 def test_rows_out_of_order_are_sorted_by_the_mapping_that_the_error_names(tmp_path):
     stamps = [(f"2024-05-01T10:00:0{k}Z", "") for k in (0, 2, 1, 3)]
     path = write(tmp_path / "a.gpx", gpx(*stamps))
-    with pytest.raises(ThermorenderError, match=r"time is running backwards.* copy of (.*gpx\.toml) as format") as told:
+    with pytest.raises(
+        ThermorenderError, match=r"time is running backwards.* copy of (.*gpx\.toml) as format"
+    ) as caught:
         read(path, "gpx", geoid_undulation_m=50.0)
-    shipped = Path(re.search(r"copy of (\S+\.toml) as format", str(told.value))[1]).read_text(encoding="utf-8")
+    shipped = Path(re.search(r"copy of (\S+\.toml) as format", str(caught.value))[1]).read_text(encoding="utf-8")
     mapping = write(tmp_path / "m.toml", f"sort_by_time = true\n{shipped}")
     assert read(path, mapping, geoid_undulation_m=50.0).span_s == (0.0, 3.0)

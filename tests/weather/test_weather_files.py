@@ -304,24 +304,27 @@ def test_a_bad_weather_year_is_refused_in_one_sentence(tmp_path, write, words):
 # --- stations -------------------------------------------------------------------------------------------------------
 
 
-def test_rain_in_inches_and_all_other_wrong_columns_are_refused_in_one_error(tmp_path):
+def test_rain_in_inches_is_read(tmp_path):
+    """An inch has 25.4 mm."""
     path = station(tmp_path / "s.csv")
     head, *rows = path.read_text().splitlines()
-    table = [f"{head},rain_in", *(f"{row},0.0" for row in rows)]
-    path.write_text("\n".join(table))
-    with pytest.raises(
-        ThermorenderError, match=r"'rain_in' is in inches; multiply it by 25.4 for 'rain_mm', or"
-    ) as told:
+    inches = np.where(np.arange(len(rows)) % 7 == 3, 0.1, 0.0)
+    for name, column in (("rain_in", inches), ("rain_total_in", np.cumsum(inches))):
+        path.write_text("\n".join([f"{head},{name}", *(f"{row},{x:.1f}" for row, x in zip(rows, column, strict=True))]))
+        step_h = float(np.diff(read_station(path, *PLACE).time)[0] / np.timedelta64(1, "h"))
+        np.testing.assert_allclose(read_station(path, *PLACE).rain_mm_h * step_h, 25.4 * inches, atol=1e-9)
+
+
+def test_all_wrong_columns_and_a_missing_air_temperature_are_refused_in_one_error(tmp_path):
+    path = station(tmp_path / "s.csv")
+    head, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([f"{head},prcp_in", *(f"{row},0.0" for row in rows)]))
+    with pytest.raises(ThermorenderError, match="'prcp_in' is not known by this name; rename it to rain_in") as error:
         read_station(path, *PLACE)
-    assert "air temperature" not in str(told.value)
+    assert "air temperature" not in str(error.value)
     edited(path, ("air_c", "x"), ("sw_down_w_m2", "ghi"))
-    with pytest.raises(
-        ThermorenderError,
-        match=r"'ghi' is not known .*; column 'rain_in' is in inches; .*; it has no air temperature: add",
-    ):
+    with pytest.raises(ThermorenderError, match=r"'ghi', 'prcp_in' is not known .*; it has no air temperature: add"):
         read_station(path, *PLACE)
-    edited(path, ("x,", "air_c,"), ("ghi", "sw_down_w_m2"), ("rain_in", "rain_mm"))
-    assert (read_station(path, *PLACE).rain_mm_h == 0.0).all()
 
 
 @pytest.mark.parametrize(

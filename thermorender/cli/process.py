@@ -51,16 +51,16 @@ def run(app: typer.Typer, without_arguments: Sequence[str] = ("--help",)) -> NoR
 @contextmanager
 def _warnings_as_notes() -> Iterator[None]:
     """Print the package's own warnings as notes, each text once, and others as before."""
-    told: set[str] = set()
+    printed: set[str] = set()
     with warnings.catch_warnings():
         shown = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
             if issubclass(category, ThermorenderWarning):
                 # A library that changes filters makes Python forget what it showed.
-                if str(message) not in told:
+                if str(message) not in printed:
                     typer.echo(f"note: {message}", err=True)
-                told.add(str(message))
+                printed.add(str(message))
             else:
                 shown(message, category, *where, **more)
 

@@ -41,14 +41,14 @@ def notes(
         share = float(np.mean(own > _DEPTH_M))
         if share > max(_MOST, found.get(name, (0.0,))[0]):
             found[name] = share, float(own.max()), where
-    told = [
+    sentences = [
         f"object {name!r} is {share:.0%} under the ground, seen from above{where}; move it, or raise it by "
         f"{np.ceil(100.0 * deep) / 100.0:.2f} m (the third number of its position, or above_ground_m)"
         for name, (share, deep, where) in list(found.items())[:_MOST_NAMED]
     ]
     if len(found) > _MOST_NAMED:
-        told.append(f"{len(found) - _MOST_NAMED} further objects are more than {_MOST:.0%} under the ground")
-    return tuple(told)
+        sentences.append(f"{len(found) - _MOST_NAMED} further objects are more than {_MOST:.0%} under the ground")
+    return tuple(sentences)
 
 
 def _copies(surfaces: Sequence[Surface]) -> _Floats:

@@ -13,6 +13,22 @@ from thermorender.scene.surface import Surface
 _FACES_AT_ONCE = 1 << 20
 
 
+def weights_in_plan(
+    corner: NDArray[np.floating], point: NDArray[np.floating]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the barycentric weights (n,) of the second and the third corner of triangles (n, 3, 2) at points (n, 2).
+
+    A vertical wall has no area from above: its weights are infinite or NaN.
+    """
+    a, b, c = np.moveaxis(corner, 1, 0)
+    ab, ac, ap = b - a, c - a, point - a
+    area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        v = (ap[:, 0] * ac[:, 1] - ap[:, 1] * ac[:, 0]) / area
+        w = (ab[:, 0] * ap[:, 1] - ab[:, 1] * ap[:, 0]) / area
+    return v, w
+
+
 class Ground:
     """Callable (east, north) → local height of the terrain `surfaces` [m], NaN where there is none.
 
@@ -54,14 +70,15 @@ class _Bins:
         sides = [np.median(np.ptp(plan[part], axis=1), axis=0) for part in self._parts()]
         self._bin = max(float(np.median(sides)) * 1.5, float(extent.max()) / 4096, 1e-9)
         # Where most triangles are tiny, beside small objects, the others would be in thousands of bins each.
-        while sum(int(self._span(plan[part])[1].prod(axis=1).sum()) for part in self._parts()) > 8 * len(self._faces):
+        spans = [self._span(plan[part]) for part in self._parts()]
+        while sum(int(span.prod(axis=1).sum()) for _, span in spans) > 8 * len(self._faces):
             self._bin *= 1.5
+            spans = [self._span(plan[part]) for part in self._parts()]
         self._count = np.floor(extent / self._bin).astype(np.int64) + 1
         triangles, bins_of = [], []
-        for number, part in enumerate(self._parts()):
-            first, span = self._span(plan[part])
+        for number, (first, span) in enumerate(spans):
             per_triangle = span.prod(axis=1)
-            own = np.repeat(np.arange(len(part), dtype=np.int32), per_triangle)
+            own = np.repeat(np.arange(len(span), dtype=np.int32), per_triangle)
             step = np.arange(len(own)) - np.repeat(np.cumsum(per_triangle) - per_triangle, per_triangle)
             column, row = first[own, 0] + step % span[own, 0], first[own, 1] + step // span[own, 0]
             triangles.append(own + number * _FACES_AT_ONCE)
@@ -92,14 +109,11 @@ class _Bins:
         count = np.where(inside, self._start[bins + 1] - self._start[bins], 0)
         which = np.repeat(np.arange(len(point)), count)
         offset = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-        a, b, c = np.moveaxis(self._vertices[self._faces[self._triangle[self._start[bins][which] + offset]]], 1, 0)
-        ab, ac, ap = (b - a)[:, :2], (c - a)[:, :2], point[which] - a[:, :2]
-        area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            v = (ap[:, 0] * ac[:, 1] - ap[:, 1] * ac[:, 0]) / area
-            w = (ab[:, 0] * ap[:, 1] - ab[:, 1] * ap[:, 0]) / area
-            # A vertical wall has no area from above: its weights are infinite or NaN, and it does not count.
+        corner = self._vertices[self._faces[self._triangle[self._start[bins][which] + offset]]]
+        v, w = weights_in_plan(corner[..., :2], point[which])
+        with np.errstate(invalid="ignore"):
             hit = (v >= -1e-9) & (w >= -1e-9) & (v + w <= 1.0 + 1e-9)
+        a, b, c = np.moveaxis(corner, 1, 0)
         a, b, c, v, w = (values[hit] for values in (a, b, c, v, w))
         height = np.full(len(point), -np.inf)
         np.maximum.at(height, which[hit], a[:, 2] + v * (b - a)[:, 2] + w * (c - a)[:, 2])

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.scene.georeference import Place
+from thermorender.scene.ground import weights_in_plan
 from thermorender.scene.raster import Grid
 from thermorender.scene.surface import Surface
 from thermorender.scene.textures import Texture, separate
@@ -29,7 +30,6 @@ _RIM = 1.5
 _MOST_CELLS = 4096
 # Points of faces that are compared at once, and vertices that a fit takes.
 _AT_ONCE, _FITTED = 2_000_000, 20_000
-
 # Distance of the posts that stand for a mesh as a surface model [m].
 _POST_M = 0.5
 
@@ -124,6 +124,7 @@ class _Shown:
 
     @classmethod
     def of(cls, surface: Surface, place: Place) -> "_Shown":
+        """Return the faces of a surface that are not upright."""
         corner = surface.vertices[surface.faces]
         across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
         face = np.flatnonzero(np.abs(across[:, 2]) > _UPRIGHT * np.linalg.norm(across, axis=1))
@@ -203,14 +204,10 @@ def _highest(corner: _Floats, up: _Floats, shape: tuple[int, int]) -> tuple[NDAr
 
 
 def _weights(corner: _Floats, point: NDArray[Any]) -> _Floats:
-    """Barycentric weights (n, 3) of points (n, 2) in triangles (n, 3, 2); NaN in one without area."""
-    a, b, c = np.moveaxis(corner, 1, 0)
-    ab, ac, ap = b - a, c - a, point - a
-    area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        v = (ap[:, 0] * ac[:, 1] - ap[:, 1] * ac[:, 0]) / area
-        w = (ab[:, 0] * ap[:, 1] - ab[:, 1] * ap[:, 0]) / area
-    return np.stack([1.0 - v - w, v, w], axis=-1)
+    """Barycentric weights (n, 3) of points (n, 2) in triangles (n, 3, 2); not finite in one without area."""
+    v, w = weights_in_plan(corner, point)
+    with np.errstate(invalid="ignore"):
+        return np.stack([1.0 - v - w, v, w], axis=-1)
 
 
 def _between(texels: Grid, grid: Grid) -> NDArray[np.int32]:

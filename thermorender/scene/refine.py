@@ -45,12 +45,10 @@ def refined(
     that keeps the number of triangles bounded. What is only `beside` the terrain refines it and is not returned.
     """
     least = _least_edge(objects)
-    edges = [max(_EDGE_SHARE * _extent(item), least) for item in objects]
-    around = [*zip(map(_box, objects), edges, strict=True)]
-    around += [(_box(item), max(_EDGE_SHARE * _extent(item), least)) for item in beside]
+    around = [(_box(item), max(_EDGE_SHARE * _extent(item), least)) for item in (*objects, *beside)]
     return [_finer(surface, around) for surface in terrain], [
         _split(item, np.full(len(item.faces), edge), _longest(item.vertices[item.faces]))
-        for item, edge in zip(objects, edges, strict=True)
+        for item, (_, edge) in zip(objects, around, strict=False)
     ]
 
 

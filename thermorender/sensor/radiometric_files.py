@@ -180,7 +180,7 @@ def kelvin_of_counts(counts: NDArray[np.float64], scale: Sequence[float]) -> NDA
     if zero > 0.0 and (counts == 0.0).any() and rest.size and rest.min() * step >= _APART_K:
         marks[0.0] = f"all others are at least {_APART_K:g} K from it"
     for value, why in marks.items():
-        # The same text for all files, so that it is told once.
+        # The same text for all files, so that it is printed once.
         warnings.warn(
             f"pixels of exactly {value * step + zero:g} K, which are {value:g} in the file, are taken for no data, "
             f"since {why}",

@@ -41,12 +41,6 @@ _LONGEST_STEP_S = 3 * 3600.0
 _MOST_NOTES = 50
 # Of cloud in oktas, where fog or snow hides the sky: WMO-No. 306, code table 2700.
 _OBSCURED = 9.0
-# Names of rain in inches, and ours in millimetres.
-_INCHES = {
-    f"{rain}_{unit}": "rain_total_mm" if rain == "rain_total" else "rain_mm"
-    for rain in ("rain", "rainfall", "rain_total", "precip", "precipitation", "prcp")
-    for unit in ("in", "inch", "inches")
-}
 _NO_AIR = "it has no air temperature: add a column air_c, air_k or air_f"
 _LIGHT = ("global_w_m2", "direct_w_m2", "diffuse_w_m2")
 
@@ -118,9 +112,10 @@ def _refuse_totals(
         if column_of.get(quantity) in COLUMNS:
             like = looks_like_total(values[quantity], (time - time[0]).astype(np.float64), step_s)
             if like:
+                unit = "in" if column_of[quantity].endswith("_in") else "mm"
                 raise ThermorenderError(
                     f"{path}: {column_of[quantity]} looks like {like}, as it seldom falls; rename the column to "
-                    "rain_total_mm, or write the rain of each interval"
+                    f"rain_total_{unit}, or write the rain of each interval"
                 )
 
 
@@ -179,9 +174,11 @@ def _quantities(
     if "rain_total_mm" in values:
         twice = [column_of[name] for name in ("rain_mm", "rain_mm_h") if name in values]
         if twice:
-            raise ThermorenderError(f"{path}: columns rain_total_mm and {twice[0]} are rain twice; leave one out")
+            raise ThermorenderError(
+                f"{path}: columns {column_of['rain_total_mm']} and {twice[0]} are rain twice; leave one out"
+            )
         values["rain_mm"] = amounts_of(values.pop("rain_total_mm"))
-        column_of["rain_mm"] = "amounts of rain_total_mm"
+        column_of["rain_mm"] = f"amounts of {column_of['rain_total_mm']}"
     if "air_k" not in values:
         raise ThermorenderError(f"{path} has no air temperature; add a column air_c, air_k or air_f")
     if "ppfd_w_m2" in values:
@@ -265,16 +262,13 @@ def _refuse_near_misses(path: object, header: list[str]) -> None:
     """Refuse misspelt names of ours, or ones in another unit, if no other column has their quantity."""
     given = {COLUMNS[name].quantity for name in header if name in COLUMNS}
     ours = [name for name, column in COLUMNS.items() if column.quantity not in given and len(name) > 4]
-    renamed, misspelt, converted = {}, {}, {}
+    renamed, misspelt = {}, {}
     for name in header:
         if name and name not in COLUMNS and name not in _TIMES:
-            plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
-            usual = USUAL.get(plain)
+            usual = USUAL.get(re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_"))
             near = closest(name, ours, cutoff=0.84)
             if usual and COLUMNS[usual].quantity not in given:
                 renamed[name] = usual
-            elif plain in _INCHES and not any(each.startswith("rain") for each in given):
-                converted[name] = _INCHES[plain]
             # A longer name, such as roof_air_c, is another place's; sw_up is not sw_down.
             elif near and not name.endswith(f"_{near[0]}") and "_up_" not in name:
                 misspelt[name] = near[0]
@@ -289,11 +283,6 @@ def _refuse_near_misses(path: object, header: list[str]) -> None:
         wrong.append(
             f"{_columns(misspelt)} not known; did you mean {', '.join(map(repr, misspelt.values()))}? "
             "rename it, or delete it"
-        )
-    if converted:
-        wrong.append(
-            f"{_columns(converted)} in inches; multiply it by 25.4 for {', '.join(map(repr, converted.values()))}, or "
-            "delete it"
         )
     found = {COLUMNS[name].quantity for name in (*renamed.values(), *misspelt.values())} | given
     if wrong and "air_k" not in found:

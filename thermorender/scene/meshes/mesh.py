@@ -5,9 +5,7 @@ Each texture or material becomes one part, and each part a surface of the scene 
 
 import io
 import itertools
-import warnings
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
+from thermorender.formats import largest_image
 from thermorender.physics.geodesy import FARTHEST_M
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.scene.meshes import gltf, obj, ply
@@ -64,7 +63,7 @@ def load(
         raise ThermorenderError(f"{path} is empty; give an OBJ, GLB or PLY file")
     try:
         # `_parts` checks for values that are not finite.
-        with _largest_image(MOST_TEXELS), np.errstate(all="ignore"):
+        with largest_image(MOST_TEXELS), np.errstate(all="ignore"):
             beside = Beside(path, folder or path.parent)
             pieces = _pieces(path, beside, named)
             if not set(named) <= {name for piece in pieces for name in (piece.name, *piece.names)}:
@@ -76,21 +75,6 @@ def load(
     except Exception as error:  # a broken file breaks its reader in many ways
         reason = shortened(" ".join(f"{type(error).__name__}: {error}".split()))
         raise ThermorenderError(f"{path} cannot be read as a mesh ({reason}); give an OBJ, GLB or PLY file") from None
-
-
-@contextmanager
-def _largest_image(pixels: int) -> Iterator[None]:
-    """Let Pillow refuse larger images by their headers, without warnings for smaller ones."""
-    from PIL import Image
-
-    before = Image.MAX_IMAGE_PIXELS
-    Image.MAX_IMAGE_PIXELS = pixels // 2  # Pillow warns above this number and refuses above twice as many
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            yield
-    finally:
-        Image.MAX_IMAGE_PIXELS = before
 
 
 def files_of(path: Path, folder: Path) -> set[Path]:
