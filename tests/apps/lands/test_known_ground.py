@@ -5,6 +5,8 @@ import re
 
 import numpy as np
 import pytest
+from rasterio import Affine
+from rasterio.crs import CRS
 from rasterio.warp import transform
 from typer.testing import CliRunner
 
@@ -13,6 +15,7 @@ from scenes import write_raster
 from thermorender.apps.lands.import_settings import ImportSettings, ThreeD
 from thermorender.apps.lands.import_terrain import import_terrain
 from thermorender.apps.lands.pools import pools
+from thermorender.apps.lands.unexplained import Photograph, write_unexplained
 from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity.kinds import kinds_of
@@ -21,6 +24,7 @@ from thermorender.materials.library import load_library
 from thermorender.materials.mixture import parts_of
 from thermorender.scene import open_ground
 from thermorender.scene.folder import read_files
+from thermorender.scene.raster import Grid
 
 SIDE, CORNER = 48, (500000.0, 5780000.0)
 # Posts of 1 m, texels of 0.5 m. Two houses, 8 m and 5 m high, a lawn, and a pool of 12 by 6 m, as (west, north) to
@@ -290,6 +294,16 @@ def test_a_patch_that_nothing_explains_is_named_with_a_command_that_works(tmp_pa
         assert (ground.flags[middle] & 32).all()
         painted = scene.with_material_in(path)
     assert is_of(painted, material, "ground")[middle].all()
+
+
+@pytest.mark.parametrize(("high", "material"), [(0.0, "water"), (5.0, "metal_painted")])
+def test_a_blue_patch_that_nothing_explains_may_be_water_on_the_ground_only(tmp_path, high, material):
+    grid = Grid(CRS.from_epsg(32634), Affine(0.5, 0.0, CORNER[0], 0.0, -0.5, CORNER[1]), 2 * SIDE, 2 * SIDE, "o.tif")
+    rgb, known = photograph((10, 70, 230)), np.zeros((2 * SIDE, 2 * SIDE), bool)
+    height = np.where(within(POOL, 0.5), high, 0.0)
+    picture = Photograph(rgb, ~known, grid, 0.5, height, grid, 0.5)
+    (note,) = write_unexplained(tmp_path, tmp_path, known, picture, "soil_loam")
+    assert f"={material}," in note
 
 
 @pytest.mark.slow

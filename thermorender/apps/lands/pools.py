@@ -40,8 +40,14 @@ def pools(
         own = label[window] == k
         ring, _ = cv2.findContours(own.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         hull = cv2.contourArea(cv2.convexHull(np.concatenate(ring)))
-        high = 0.0 if above_m is None else float(np.nanmedian(np.append(above_m[window][own], np.nan)))
-        if texels > _COMPACT * hull and value[window][own].std() < _EVEN and not high > _HIGH_M:
+        high = above_m is not None and stands_high(above_m[window][own])
+        if texels > _COMPACT * hull and value[window][own].std() < _EVEN and not high:
             number += 1
             found[window][own] = number
     return found
+
+
+def stands_high(above_m: NDArray[np.floating]) -> bool:
+    """Return whether a part of a surface, `above_m` (n,) above the ground [m] or NaN, lies too high for water."""
+    known = above_m[np.isfinite(above_m)]
+    return bool(known.size) and float(np.median(known)) > _HIGH_M

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender import defaults
-from thermorender.apps.lands.pools import pools
+from thermorender.apps.lands.pools import pools, stands_high
 from thermorender.apps.lands.solids.detection import Outline, inside
 from thermorender.formats import finite_json, write_json
 from thermorender.learned.emissivity.elevation import above_ground
@@ -126,9 +126,10 @@ def write_unexplained(
     confidence = map_materials(model, colour, picture.texel_m).confidence
     unknown = picture.valid & ~stated & (confidence < DEFAULT_CONFIDENCE)
     notes = []
+    above = picture.above_m()
     for number, own in enumerate(_uniform(unknown, picture), 1):
-        mean = picture.rgb[own].mean(axis=0)
-        guess = "water" if _watery(mean) else "metal_painted"
+        wet = _watery(picture.rgb[own].mean(axis=0)) and not stands_high(above[own])
+        guess = "water" if wet else "metal_painted"
         name = f"unexplained-{number}.geojson"
         geometry = transform_geom(picture.grid.crs, "OGC:CRS84", _outline(own, picture.grid))
         feature = {"type": "Feature", "properties": {"material": guess}, "geometry": geometry}
