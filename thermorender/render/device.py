@@ -19,8 +19,10 @@ from thermorender.render.geometry import Geometry
 from thermorender.render.layers import Layer, OutgoingRadiance, TexelArrays
 from thermorender.render.object_numbers import objects_of_surfaces
 from thermorender.render.plan import Plan
+from thermorender.render.pixels.crown_light import sunlit_leaves
 from thermorender.render.reflection.device_tables import DeviceTables, DirectionalTexels
 from thermorender.render.spectrum import REFERENCE_K
+from thermorender.scene.instances import Instances
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import Surface
 
@@ -38,7 +40,8 @@ class DeviceScene:
         directional = None
         if tables and baked.mirror_black is not None:
             directional = DirectionalTexels(mi, tables, flat(scene.surfaces, "material"), baked.mirror_black)
-        self._outgoing = outgoing or OutgoingRadiance.of(geometry, baked.texels, baked.faces, directional)
+        leaves = None if outgoing else sunlit_leaves(scene, plan, geometry)
+        self._outgoing = outgoing or OutgoingRadiance.of(geometry, baked.texels, baked.faces, directional, leaves)
         self._faces, self._light = baked.faces, baked.static_light
         self._face_error = baked.face_error
         self._static_error = None if baked.face_error is None else mi.Float(aligned(baked.face_error))
@@ -67,7 +70,10 @@ class DeviceScene:
         if self._face_error is None or not self.geometry.has_copies:
             return 0.0
         surfaces = self.geometry.surfaces
-        of = np.repeat([each.instances is not None for each in surfaces], [len(each.faces) for each in surfaces])
+        copies = [isinstance(each.instances, Instances) for each in surfaces]
+        if not any(copies):
+            return 0.0
+        of = np.repeat(copies, [len(each.faces) for each in surfaces])
         return float(np.sqrt(np.average(self._face_error[of], weights=self.geometry.area[of])))
 
     @cached_property

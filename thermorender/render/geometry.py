@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned
+from thermorender.render import turbid
 from thermorender.render.pixels import pyramid, shapes, slender
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import Surface
@@ -63,6 +64,8 @@ class Geometry:
             if surface.instances is None
         }
         copies = shapes.CopyShapes(mi, surfaces, self.face_start)
+        # Crowns that rays pass in part; None without.
+        self.crowns = turbid.field_of(mi, surfaces, self.face_start, self.texel_start, self.hair)
         # Without robust intersections rays leak through triangle edges and show the sky.
         self.caster = mi.load_dict({
             "type": "scene", "embree_use_robust_intersections": True, **meshes, **copies.shapes
@@ -92,18 +95,44 @@ class Geometry:
 
     @property
     def has_copies(self) -> bool:
-        """Whether a surface consists of copies of a body."""
-        return self._copies is not None
+        """Whether a surface consists of copies of a body, or of crowns."""
+        return self._copies is not None or self.crowns is not None
 
     def cast(self, ray: Jit, coherent: bool = False, active: Jit = True) -> Hit:
-        """Return the Hit of rays (an mi.Ray3f); inactive ones miss."""
-        return self.hit_of(self.caster.ray_intersect_preliminary(ray, coherent=coherent, active=active))
+        """Return the Hit of rays (an mi.Ray3f); inactive ones miss. In crowns they end at a random leaf."""
+        hit = self.hit_of(self.caster.ray_intersect_preliminary(ray, coherent=coherent, active=active))
+        if self.crowns is None:
+            return hit
+        flight, normal = self.crowns.drawn(ray, hit.distance, active)
+        return self._in_crowns(hit, flight, normal.z > 0.0)
 
-    def cast_with_normal(self, ray: Jit, active: Jit = True) -> tuple[Hit, Jit]:
-        """Return (Hit of rays, unit normal of the triangles they meet, Vector3f); inactive rays miss."""
+    def cast_with_normal(self, ray: Jit, active: Jit = True, leaves: bool = True) -> tuple[Hit, Jit]:
+        """Return (Hit of rays, unit normal of what they meet, Vector3f); inactive rays miss. Without `leaves` they pass
+        all crowns."""
         found = self.caster.ray_intersect_preliminary(ray, active=active)
         surface = found.compute_surface_interaction(ray, self.mi.RayFlags.Minimal, active)
-        return self.hit_of(found), self.mi.Vector3f(surface.n)
+        hit, normal = self.hit_of(found), self.mi.Vector3f(surface.n)
+        if self.crowns is None or not leaves:
+            return hit, normal
+        flight, side = self.crowns.drawn(ray, hit.distance, active)
+        return self._in_crowns(hit, flight, side.z > 0.0), dr.select(flight.met, side, normal)
+
+    def _in_crowns(self, hit: Hit, flight: turbid.Flight, up: Jit) -> Hit:
+        """The Hit of rays that end at leaves where their Flight meets one."""
+        assert self.crowns is not None
+        surface, face = self.crowns.face(flight, up)
+        return Hit(
+            hit.valid | flight.met, dr.select(flight.met, flight.distance, hit.distance),
+            dr.select(flight.met, face, hit.face), dr.select(flight.met, surface, hit.surface),
+        )  # fmt: skip
+
+    def sunlight(self, ray: Jit, active: Jit = True, coherent: bool = False) -> Jit:
+        """Return the share of light that arrives against rays from beyond the surfaces, Float; 0 where inactive."""
+        free = ~self.caster.ray_test(ray, coherent=coherent, active=active) & active
+        if self.crowns is None:
+            return dr.select(free, self.mi.Float(1.0), 0.0)
+        passed = self.crowns.transmittance(ray, dr.select(free, self.mi.Float(np.inf), 0.0), free)
+        return dr.select(free, passed, 0.0)
 
     def hit_of(self, found: Jit) -> Hit:
         """Return the Hit of what the caster found."""
@@ -127,9 +156,18 @@ class Geometry:
         return dr.select(copy, dr.gather(mi.UInt32, surface_of, number, copy), surface), dr.select(copy, own, face)
 
     def seen(self, ray: Jit) -> Hit:
-        """Return the Hit of a view's rays (an mi.Ray3f). Embree returns distance 0 for a camera on a surface and for a
+        """Return the Hit of a view's rays, as of `seen_through`. Crowns that pass less than half of the light are hit
+        where they do."""
+        hit = self.seen_through(ray)
+        if self.crowns is None:
+            return hit
+        flight = self.crowns.flight(ray, hit.distance, dr.opaque(self.mi.Float, float(np.log(2.0))))
+        return self._in_crowns(hit, flight, ray.d.z < 0.0)
+
+    def seen_through(self, ray: Jit) -> Hit:
+        """Return the Hit of a view's rays (an mi.Ray3f) that pass all crowns. Embree returns distance 0 for a camera on a surface and for a
         ray in the plane of a triangle; such rays are cast again, offset by `hair`."""
-        hit = self.cast(ray, coherent=True)
+        hit = self.hit_of(self.caster.ray_intersect_preliminary(ray, coherent=True))
         touches = hit.valid & (hit.distance <= 0.0)
         # Opaque: a literal would compile the kernel again for each scene.
         aside = dr.opaque(self.mi.Float, self.hair) * self.mi.Vector3f(*_ASIDE)

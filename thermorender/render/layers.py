@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from thermorender.render.arrays import Channels, Jit
 from thermorender.render.geometry import Geometry, Hit
+from thermorender.render.pixels.crown_light import SunlitLeaves
 from thermorender.render.reflection.device_tables import DirectionalTexels
 
 
@@ -22,16 +23,22 @@ class OutgoingRadiance:
     rest: Channels | None = None  # the other spectral channels, about a hundredth of the first, read once per ray
     faces: Channels | None = None  # corrections added to all channels of the texels
     directional: DirectionalTexels | None = None  # data of the directional texels
+    leaves: SunlitLeaves | None = None  # of crowns that the sun warms
 
     @classmethod
     def of(
         cls, geometry: Geometry, texels: Sequence[NDArray[np.float32]], faces: ArrayLike | None = None,
-        directional: DirectionalTexels | None = None,
+        directional: DirectionalTexels | None = None, leaves: SunlitLeaves | None = None,
     ) -> "OutgoingRadiance":  # fmt: skip
         """Return the radiance of spectral channels of texels, K arrays (T,), and of faces, (F, K)."""
         rest = geometry.averaged(np.stack(texels[1:], axis=1)) if len(texels) > 1 else None
         own = None if faces is None else Channels(geometry.mi, faces)
-        return cls(geometry.averaged(texels[0][:, None]), rest, own, directional)
+        return cls(geometry.averaged(texels[0][:, None]), rest, own, directional, leaves)
+
+    @property
+    def channels(self) -> int:
+        """Number of all channels."""
+        return self.texels.count + (self.rest.count if self.rest else 0)
 
     def at_texel(self, texel: Jit, face: Jit, active: Jit) -> list[Jit]:
         """Return all channels of texels seen on faces, as a list of Float; 0 where inactive."""

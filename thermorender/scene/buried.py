@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.scene.ground import Ground
-from thermorender.scene.instances import alone
+from thermorender.scene.instances import Instances, alone
 from thermorender.scene.surface import Surface
 from thermorender.scene.tracks import TrackedObject
 
@@ -28,7 +28,10 @@ def notes(
     still: dict[str, list[Surface]] = {}
     for surface in surfaces[terrain_count:]:
         still.setdefault(surface.name.split(":")[0], []).append(surface)
-    parts = [(name, "", _copies(own) if own[0].instances else _tops(own, np.eye(4))) for name, own in still.items()]
+    parts = [
+        (name, "", _copies(own) if isinstance(own[0].instances, Instances) else _tops(own, np.eye(4)))
+        for name, own in still.items()
+    ]
     parts += [part for one in tracked for part in _along(one, ground)]
     if not parts:
         return ()
@@ -53,7 +56,7 @@ def notes(
 
 def _copies(surfaces: Sequence[Surface]) -> _Floats:
     """Tops (n, 3) of some copies of a body."""
-    assert surfaces[0].instances is not None
+    assert isinstance(surfaces[0].instances, Instances)
     matrix = surfaces[0].instances.matrices
     some = matrix[np.linspace(0, len(matrix) - 1, min(len(matrix), _PLACES)).astype(int)]
     body = _tops([alone(surface) for surface in surfaces], np.eye(4))

@@ -164,11 +164,14 @@ def expanded(surface: Surface) -> Surface:
     )  # fmt: skip
 
 
-def read_places(path: Path) -> dict[str, Floats]:
-    """Return {column: (n,)} of a table of copies: a CSV with east_m and north_m, and any of the other columns."""
+def read_places(path: Path, others: Mapping[str, tuple[float, float, str]]) -> dict[str, Floats]:
+    """Return {column: (n,)} of a table of copies: a CSV with east_m and north_m, and any of the other columns.
+
+    `others` are further columns, each with its least and largest value and unit.
+    """
     from thermorender.scene.tracks import read_columns
 
-    columns, rows = read_columns(path, ("east_m", "north_m"), ("above_ground_m", "yaw_deg", "scale"))
+    columns, rows = read_columns(path, ("east_m", "north_m"), ("above_ground_m", "yaw_deg", "scale", *others))
     if len(rows) > MOST_COPIES:
         raise ThermorenderError(
             f"{path} has {len(rows)} rows, more than the {MOST_COPIES} copies whose light fits into an ordinary "
@@ -181,6 +184,14 @@ def read_places(path: Path) -> dict[str, Floats]:
             f"{path}, row {rows[int(np.argmax(small))]}: scale={scale[small][0]:g} is not allowed; give a factor of at "
             f"least {LEAST_SCALE:g}"
         )
+    for name, (least, most, unit) in others.items():
+        values = columns.get(name, np.full(1, least))
+        off = (values < least) | (values > most)
+        if off.any():
+            raise ThermorenderError(
+                f"{path}, row {rows[int(np.argmax(off))]}: {name}={values[off][0]:g} is not allowed; give "
+                f"{least:g} to {most:g} {unit}"
+            )
     for name in ("above_ground_m", "yaw_deg"):
         columns.setdefault(name, np.zeros(len(rows)))
     return columns

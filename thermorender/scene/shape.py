@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
-from thermorender.scene import instances
+from thermorender.scene import crowns, instances
 from thermorender.scene.folder import SceneFiles
 from thermorender.scene.ground import Ground
 from thermorender.scene.raster import Grid
@@ -116,7 +116,7 @@ def _copies(one: TrackedObject, ground: Ground, where: str) -> list[Surface]:
             f"{where}: object {item.name!r} has a copy at {east[off]:g} m east, {north[off]:g} m north, where there is "
             f"no terrain; leave that row out of {item.instances}"
         )
-    top = max(float(surface.vertices[:, 2].max()) for surface in one.surfaces) * row["scale"]
+    top = row.get("height_m", max(float(surface.vertices[:, 2].max()) for surface in one.surfaces)) * row["scale"]
     top += row["above_ground_m"] + item.position[2] + one.lift_m
     if (top <= 0.0).any():
         off = int(np.argmax(top <= 0.0))
@@ -125,11 +125,13 @@ def _copies(one: TrackedObject, ground: Ground, where: str) -> list[Surface]:
             f"{-top[off]:g} m below the ground; give above_ground_m in {item.instances} in metres above the terrain"
         )
     up = height + row["above_ground_m"] + item.position[2] + one.lift_m
-    place = {
+    place = dict(row) | {
         "position": np.column_stack([east, north, up]),
         "yaw_deg": row["yaw_deg"] + item.yaw_deg,
-        "scale": row["scale"],
     }
+    if item.leaf_area_1_m:
+        return [crowns.placed(surface, place, item.leaf_area_1_m) for surface in one.surfaces]
+    place = {name: place[name] for name in ("position", "yaw_deg", "scale")}
     return [instances.placed(surface, place) for surface in one.surfaces]
 
 

@@ -17,6 +17,7 @@ from thermorender import defaults, units
 from thermorender.errors import ThermorenderError
 from thermorender.paths import inside
 from thermorender.physics.geodesy import FARTHEST_M
+from thermorender.scene.crowns import DENSITIES
 from thermorender.scene.meshes.axes import Axes
 from thermorender.scene.raster import FORMATS, files_of
 from thermorender.scene.surface import scene_kelvin
@@ -291,6 +292,8 @@ class ObjectSpec:
     colour: tuple[float, float, float] = key(number(0.0, 255.0, count=3, unit="(sRGB)"), (128.0, 128.0, 128.0))
     track: Path | None = key(file_inside, None)
     instances: Path | None = key(file_inside, None)
+    # Area of one side of leaves per volume of a crown, as of `thermorender.scene.crowns` [m²/m³]; without it, a solid.
+    leaf_area_1_m: float | None = key(number(*DENSITIES, unit="m²/m³"), None)
 
     def check(self, where: Where, given: Mapping[str, Any]) -> None:
         """Refuse none or two kinds of solid, and a name that could be a part's."""
@@ -301,6 +304,10 @@ class ObjectSpec:
             where.of("instances").refuse(str(self.instances), "it without track: copies do not move")
         if self.instances and self.upright is False:
             where.of("upright").refuse(False, "it without instances: copies stand upright")
+        if self.leaf_area_1_m is not None and (self.track or self.shape not in ("box", "sphere")):
+            where.of("leaf_area_1_m").refuse(
+                self.leaf_area_1_m, "it with shape='box' or 'sphere', and without track: a crown stands still"
+            )
         if self.temperature is None and self.track:
             where.of("temperature").refuse(
                 BALANCE, "it to what stands still only: kelvin here or temperature_k in its track, or leave track out"
@@ -309,9 +316,9 @@ class ObjectSpec:
 
     def _check_inner_heat(self, where: Where) -> None:
         """Refuse inner heat that no temperature follows, and shares of parts that are none."""
-        if self.inner_heat_w and (self.temperature is not None or self.instances):
+        if self.inner_heat_w and (self.temperature is not None or self.instances or self.leaf_area_1_m):
             where.of("inner_heat_w").refuse(
-                self.inner_heat_w, "it with temperature='balance' only, and without instances"
+                self.inner_heat_w, "it with temperature='balance' only, and without instances and leaf_area_1_m"
             )
         if self.inner_heat_share and not self.file:
             where.of("inner_heat_share").refuse(dict(self.inner_heat_share), "it with file only, whose parts it names")

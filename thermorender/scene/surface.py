@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from thermorender.errors import ThermorenderError
 
 if TYPE_CHECKING:
+    from thermorender.scene.crowns import Crowns
     from thermorender.scene.instances import Instances
 from thermorender.units import kelvin
 
@@ -42,7 +43,8 @@ class Surface:
     temperature: NDArray[np.float32]  # (h, w) float32 kinetic temperature [K]
     flags: NDArray[np.uint8]  # (h, w) uint8 bitwise or of the flags of this module
     texel_m: float  # Side of a texel on the ground [m]
-    instances: "Instances | None" = None  # Copies of a body that rays meet; the faces then stand for their patches
+    # Copies of a body that rays meet, or crowns that they pass in part; the faces then stand for their patches
+    instances: "Instances | Crowns | None" = None
     # (h, w) float32 standard deviation of the temperature within texels [K], of copies whose heat balance is solved
     scatter_k: NDArray[np.float32] | None = None
     # Heat that enters its sheet from within, of an object whose heat balance is solved [W m⁻²]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from thermorender.render.arrays import Floats, Jit, aligned
 from thermorender.render.geometry import Geometry
 from thermorender.render.light import leaves, radiosity
+from thermorender.scene.crowns import PROJECTION, Crowns
 
 # Points of a patch from which rays test for the sun, and patches handled at a time.
 _POINTS = 32
@@ -41,6 +42,8 @@ class Copies:
         self._rays_of = radiosity.FaceRays(geometry, _POINTS // 2)
         self._known: dict[tuple[int, int], _Pair] = {}
         self._texels = geometry.texel_start[surfaces.start : surfaces.stop + 1]
+        own = [geometry.surfaces[number] for number in surfaces]
+        self._leaf = np.repeat([isinstance(s.instances, Crowns) for s in own], [len(s.faces) for s in own])
         self._scatter = np.zeros((instants, int(self._texels[-1] - self._texels[0])), np.float32)
 
     def hidden(self, face: NDArray[Any]) -> NDArray[np.float32]:
@@ -49,6 +52,9 @@ class Copies:
         for number in self._surfaces:
             body = self._geometry.surfaces[number].instances
             assert body is not None
+            if isinstance(body, Crowns):
+                found.append(np.zeros(body.patches * len(body)))
+                continue
             found.append(np.tile(leaves.within_body(self._geometry, number, radiosity.openness), len(body)))
         spread = np.maximum(np.concatenate(found), _LEAST).astype(np.float32)
         spread[0] = 0.0
@@ -104,8 +110,14 @@ class Copies:
             origin, _, _, normal = self._rays_of(
                 dr.arange(mi.UInt32, count) + dr.opaque(mi.UInt32, self.first + start), 0
             )
-            cosine = dr.dot(normal, sun)
-            lit = (cosine > 0.0) & ~self._geometry.caster.ray_test(mi.Ray3f(origin, sun), active=cosine > 0.0)
-            found = np.array(dr.select(lit, cosine, 0.0)).reshape(count, -1)
+            leaf = self._leaf[start : start + count]
+            even = mi.Float(aligned(np.repeat(np.where(leaf, PROJECTION, 0.0), _POINTS)))
+            # Of thin leaves of all orientations, by their mean projection; of triangles on the lit side.
+            cosine = dr.select(even > 0.0, even, dr.maximum(dr.dot(normal, sun), 0.0))
+            lit = cosine * self._geometry.sunlight(mi.Ray3f(origin, sun), cosine > 0.0)
+            found = np.array(lit).reshape(count, -1)
             mean[start : start + count], spread[start : start + count] = found.mean(axis=1), found.std(axis=1)
+        # The two sides of a leaf have the same temperature; other columns of crowns are leaves in the sun.
+        mean[self._leaf] = mean[self._leaf].reshape(-1, 2).mean(axis=1).repeat(2)
+        spread[self._leaf] = PROJECTION - mean[self._leaf]
         return mean, spread

@@ -29,8 +29,7 @@ def sun_cosine(geometry: Geometry, point: Jit, normal: Jit, towards: NDArray[np.
     sun = mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))
     cosine = dr.dot(normal, sun)
     ray = mi.Ray3f(point, dr.select(cosine > 0.0, sun, mi.Vector3f(0.0, 0.0, 1.0)))
-    seen = ~geometry.caster.ray_test(ray, coherent=True, active=cosine > 0.0)
-    return dr.select((cosine > 0.0) & seen, cosine, 0.0)
+    return dr.maximum(cosine, 0.0) * geometry.sunlight(ray, cosine > 0.0, coherent=True)
 
 
 def _on_faces(

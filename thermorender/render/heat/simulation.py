@@ -33,6 +33,7 @@ from thermorender.render.light import contacts, radiosity, transport_cache
 from thermorender.render.light.exchange import threads
 from thermorender.render.variant import activate
 from thermorender.scene import open_ground
+from thermorender.scene.crowns import Crowns
 from thermorender.scene.deviations import Deviations
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import fill, nearest_valid
@@ -158,6 +159,9 @@ class _Simulation:
         self.operator, self.threads = transport.operator.astype(np.float32), threads()
         self.sky = transport.sky.sum(axis=1).astype(np.float32)
         self.background = transport.background.astype(np.float32)
+        if geometry.crowns is not None:
+            both = _both_sides(geometry)
+            self.operator, self.sky, self.background = both @ self.operator, both @ self.sky, both @ self.background
         self.reflectance, self.emissivity = self._of_faces()
         solid = sum(surface.instances is None for surface in terrain)
         self.bodies = range(*(int(geometry.face_start[number]) for number in (ground, solid)))
@@ -433,6 +437,22 @@ class _Light:
     reflected: Any
     # Long-wave radiation of the surroundings [W m⁻²].
     surroundings: Any
+
+
+def _both_sides(geometry: Geometry) -> Any:
+    """Matrix (F, F) that gives both sides of leaves in crowns, which are thin, the mean of their light."""
+    from scipy.sparse import csr_array
+
+    index = np.arange(geometry.face_count)
+    other = index.copy()
+    for surface, first in zip(geometry.surfaces, geometry.face_start, strict=False):
+        if isinstance(surface.instances, Crowns):
+            here = slice(first, first + len(surface.faces))
+            # Patches that face down and up alternate.
+            other[here] = first + ((index[here] - first) ^ 1)
+    rows = np.concatenate([index, index])
+    half = np.full(len(rows), 0.5, np.float32)
+    return csr_array((half, (rows, np.concatenate([index, other]))), (len(index), len(index)))
 
 
 def _varied(ground: ColumnProperties, wetness: Jit, exchange: Jit, inertia: Jit) -> ColumnProperties:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from thermorender.render.arrays import Floats, Jit, aligned
 from thermorender.render.geometry import Geometry, Hit, frames, of_faces
 from thermorender.render.pixels.slender import connected
-from thermorender.scene.instances import alone
+from thermorender.scene.instances import Instances, alone
 from thermorender.scene.surface import Surface
 
 # Points of a face that are tested, in an order in which neighbours are close to each other.
@@ -73,7 +73,7 @@ def solid(geometry: Geometry) -> NDArray[np.bool_] | None:
         return None
     found = np.append(_solid_parts(geometry, part, count), False)[part]
     for number, surface in enumerate(geometry.surfaces):
-        if surface.instances is not None:
+        if isinstance(surface.instances, Instances):
             # The body as a whole: a hit identifies the patch of a copy, not the connected part.
             body = Geometry(geometry.mi, [alone(surface)])
             own = _solid_parts(body, np.zeros(body.face_count, np.int64), 1, stands=False)
@@ -148,9 +148,9 @@ def _substitute(
         start[hidden], spots[hidden] = faces[best], spots[best]
 
 
-def backs(geometry: Geometry, back: Jit, ray: Jit, active: Jit = True) -> tuple[Hit, Jit]:
+def backs(geometry: Geometry, back: Jit, ray: Jit, active: Jit = True, leaves: bool = True) -> tuple[Hit, Jit]:
     """Return (Hit of rays, whether they meet something solid from behind, Bool); `back` is `solid` as UInt8."""
-    hit, normal = geometry.cast_with_normal(ray, active)
+    hit, normal = geometry.cast_with_normal(ray, active, leaves)
     behind = hit.valid & (dr.dot(normal, ray.d) > 0.0) & (dr.gather(type(back), back, hit.face, hit.valid) > 0)
     return hit, behind
 
@@ -174,7 +174,7 @@ def _open(geometry: Geometry, back: Jit, point: Jit, normal: Jit) -> NDArray[np.
         if number:
             sine, cosine = dr.sincos(turn + number * 2.0 * np.pi / _ASIDE)
             towards = frame.to_world(mi.Vector3f(0.8 * cosine, 0.8 * sine, 0.6))
-        hit, behind = backs(geometry, back, mi.Ray3f(mi.Point3f(point), towards), doubtful)
+        hit, behind = backs(geometry, back, mi.Ray3f(mi.Point3f(point), towards), doubtful, leaves=False)
         hidden |= behind
         if not number:
             # Only downward faces cast it downwards, and the ground lies below those that are uncovered.
@@ -200,7 +200,8 @@ def _in_air(geometry: Geometry, faces: NDArray[np.uint32], stands: bool) -> Floa
     for _ in range(_BOUNCES):
         pair = mi.Point2f(random.next_float32(), random.next_float32())
         towards = mi.Frame3f(side).to_world(mi.warp.square_to_cosine_hemisphere(pair))
-        hit, normal = geometry.cast_with_normal(mi.Ray3f(mi.Point3f(point + lift * side), towards), walking)
+        ray = mi.Ray3f(mi.Point3f(point + lift * side), towards)
+        hit, normal = geometry.cast_with_normal(ray, walking, leaves=False)
         air |= walking & ~hit.valid & ((towards.z > 0.0) | (not stands))
         walking &= hit.valid
         point = point + lift * side + hit.distance * towards

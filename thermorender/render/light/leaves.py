@@ -16,12 +16,15 @@ from thermorender.render.geometry import Geometry, frames
 from thermorender.render.light.contacts import SPOTS
 from thermorender.render.plan import Plan
 from thermorender.render.spectrum import REFERENCE_K
-from thermorender.scene.instances import alone
+from thermorender.scene.crowns import PATCHES, Crowns
+from thermorender.scene.instances import Instances, alone
 from thermorender.scene.scene import Scene
 
-# Points that represent a patch. Successive rays start from successive ones.
-_DRAWN = 256
+# Points that represent a patch of a body, and of crowns. Successive rays start from successive ones.
+_DRAWN, _IN_CROWN = 256, 1024
 _SEED, _HASH = 0x1EAF, 2654435761
+# Odd, near the golden section of _DRAWN.
+_TURN = 159
 # Least weight and share of an open hemisphere, so that each patch has points to draw.
 _LEAST_OPEN = 1e-3
 
@@ -46,7 +49,8 @@ class Leaves:
         self._mi = mi = geometry.mi
         first = np.arange(geometry.face_count, dtype=np.uint32)
         drawn = np.ones(geometry.face_count, np.uint32)
-        turn = np.tile(np.array([1.0, 0.0, 1.0, 0.0], np.float32), (geometry.face_count, 1))
+        turn = np.tile(np.array([1.0, 0.0], np.float32), (geometry.face_count, 1))
+        scale = np.ones((geometry.face_count, 3), np.float32)
         shift = np.zeros((geometry.face_count, 3), np.float32)
         found = list[Floats]()
         random, count = np.random.Generator(np.random.Philox(_SEED)), geometry.face_count
@@ -55,11 +59,19 @@ class Leaves:
             if body is None:
                 continue
             here = slice(*geometry.face_start[number : number + 2])
-            first[here] = count + _DRAWN * np.tile(np.arange(body.patches), len(body))
-            drawn[here] = _DRAWN
-            matrix = np.repeat(body.matrices, body.patches, axis=0)
-            turn[here, 0], turn[here, 1] = matrix[:, 0, 0], matrix[:, 0, 1]
-            turn[here, 2], shift[here] = matrix[:, 2, 2], matrix[:, :, 3]
+            points = _IN_CROWN if isinstance(body, Crowns) else _DRAWN
+            first[here], drawn[here] = count + points * np.tile(np.arange(body.patches), len(body)), points
+            heading = np.repeat(np.radians(body.yaw_deg), body.patches)
+            turn[here, 0], turn[here, 1] = np.cos(heading), np.sin(heading)
+            if isinstance(body, Crowns):
+                scale[here], shift[here] = (np.repeat(each, PATCHES, axis=0) for each in (body.half, body.middle))
+                made = np.zeros((PATCHES, points, 4, 3))
+                made[:, :, 0], made[:, :, 3] = body.leaves(points)
+                found.append(made.reshape(-1, 4, 3))
+                count += PATCHES * points
+                continue
+            scale[here] = np.repeat(body.scale, body.patches)[:, None]
+            shift[here] = np.repeat(body.position, body.patches, axis=0)
             opened = open_points(geometry, number, openness)
             weight = body.face_area[:, None] * np.where(opened.out, 1.0, _LEAST_OPEN)
             normal = frames(body.vertices[body.faces])[:, 3]
@@ -74,7 +86,7 @@ class Leaves:
         # extent.
         self.frames = np.concatenate(found)
         self._first, self._count = (mi.UInt32(aligned(values, np.uint32)) for values in (first, drawn))
-        self._turn, self._shift = mi.Float(aligned(turn)), mi.Float(aligned(shift))
+        self._turn, self._scale, self._shift = (mi.Float(aligned(each)) for each in (turn, scale, shift))
 
     def row(self, face: Jit, number: Jit) -> Jit:
         """Return the row of the frames from which a ray of a face starts, by the ray's number; UInt32."""
@@ -82,25 +94,28 @@ class Leaves:
         first, count = dr.gather(mi.UInt32, self._first, face), dr.gather(mi.UInt32, self._count, face)
         # Each patch begins elsewhere, so that like copies do not repeat their errors. Lanes of the processor beyond the
         # last ray have gathered a count of 0, and a division by it ends the process.
-        return first + (number + ((face * _HASH) >> 16)) % dr.maximum(count, 1)
+        # Rays of one point would have like directions, as Sobol' points 256 apart do.
+        count = dr.maximum(count, 1)
+        return first + (number + (number // count) * _TURN + ((face * _HASH) >> 16)) % count
 
     def row_of_spot(self, face: Jit, spot: Jit) -> Jit:
         """Return the row of the frames of a spot of a face, one of `contacts.SPOTS`; UInt32."""
         mi = self._mi
         first, count = dr.gather(mi.UInt32, self._first, face), dr.gather(mi.UInt32, self._count, face)
-        return dr.select(count > 1, first + spot * (_DRAWN // SPOTS), face)
+        return dr.select(count > 1, first + spot * (count // SPOTS), face)
 
     def placed(self, face: Jit, corner: Jit, edge_u: Jit, edge_v: Jit, normal: Jit) -> tuple[Jit, ...]:
         """Return frames of triangles in the scene's frame, for the faces that they belong to."""
         mi = self._mi
-        turn, shift = dr.gather(mi.Vector4f, self._turn, face), dr.gather(mi.Vector3f, self._shift, face)
+        turn = dr.gather(mi.Vector2f, self._turn, face)
+        scale, shift = (dr.gather(mi.Vector3f, table, face) for table in (self._scale, self._shift))
 
         def turned(vector: Jit) -> Jit:
             return mi.Vector3f(
-                turn.x * vector.x + turn.y * vector.y, turn.x * vector.y - turn.y * vector.x, turn.z * vector.z
+                turn.x * vector.x + turn.y * vector.y, turn.x * vector.y - turn.y * vector.x, vector.z
             )
 
-        return turned(corner) + shift, turned(edge_u), turned(edge_v), turned(normal) / turn.z
+        return turned(scale * corner) + shift, turned(scale * edge_u), turned(scale * edge_v), turned(normal)
 
 
 def open_points(geometry: Geometry, number: int, openness: Openness) -> Open:
@@ -126,7 +141,7 @@ def within(geometry: Geometry, openness: Openness, sky: Floats, reflected: NDArr
     found = np.zeros(geometry.face_count)
     for number, surface in enumerate(geometry.surfaces):
         body = surface.instances
-        if body is None:
+        if not isinstance(body, Instances):
             continue
         here = slice(*geometry.face_start[number : number + 2])
         spread = within_body(geometry, number, openness)
@@ -140,7 +155,7 @@ def emitted(geometry: Geometry, scene: Scene, plan: Plan) -> Floats:
     """Return the scatter of emitted radiance within the patches of copies, (F,) [W m⁻² sr⁻¹]; 0 for other faces."""
     found = np.zeros(geometry.face_count)
     for number, surface in enumerate(scene.surfaces):
-        if surface.scatter_k is not None:
+        if surface.scatter_k is not None and isinstance(surface.instances, Instances):
             first, last = geometry.face_start[number : number + 2]
             emissivity = scene.materials[surface.material.flat[0]].band_emissivity(*plan.band_um, REFERENCE_K)
             kelvin = surface.scatter_k.reshape(-1)[: last - first]
@@ -152,7 +167,7 @@ def within_body(geometry: Geometry, number: int, openness: Openness) -> Floats:
     """Return the spread of the sky fraction over the triangles of each patch of a single body, (patches,): the root
     mean square deviation of triangles seen from above, from the mean of those from which rays start."""
     body = geometry.surfaces[number].instances
-    assert body is not None
+    assert isinstance(body, Instances)
     opened = open_points(geometry, number, openness)
     up, weight = opened.sky, body.face_area * np.maximum(opened.sky + opened.below, _LEAST_OPEN)
     mean = np.bincount(body.patch, weight * up) / np.bincount(body.patch, weight)

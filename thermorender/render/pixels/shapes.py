@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.render.arrays import Floats, Jit, Mitsuba, aligned
+from thermorender.scene.instances import Instances
 from thermorender.scene.surface import Surface
 
 
@@ -39,7 +40,7 @@ class CopyShapes:
         triangles = 0
         for number, surface in enumerate(surfaces):
             body = surface.instances
-            if body is None:
+            if not isinstance(body, Instances):
                 continue
             shape = mesh(mi, f"s{number}", body.vertices, body.faces)
             group = mi.load_dict({"type": "shapegroup", "mesh": shape})

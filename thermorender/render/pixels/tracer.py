@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from thermorender.render.air import AirView, Vacuum
 from thermorender.render.arrays import Jit, aligned, view_ray
-from thermorender.render.geometry import Hit
+from thermorender.render.geometry import Geometry, Hit
 from thermorender.render.layers import Layer, LayerHit, first_hit
+from thermorender.render.pixels.crown_light import along
 from thermorender.render.pixels.footprint import PLACES, Climb, OnMap, Reading
 from thermorender.render.pixels.sampling import (
     COPIES_STAGES,
@@ -35,6 +36,7 @@ from thermorender.render.pixels.sampling import (
 from thermorender.render.pixels.slender import Rectangles
 from thermorender.render.plan import Plan
 from thermorender.render.reflection import mirrors
+from thermorender.scene.instances import Instances
 
 # Error of a detail with edges all round, relative to one edge: 1.3 to 1.4 for 3000 rotated squares and rods.
 _ISLAND = 1.5
@@ -88,9 +90,12 @@ class Tracer:
         slender: Callable[[], Rectangles], pose: NDArray[Any] | None = None,
     ) -> None:  # fmt: skip
         self._slender = slender
-        self._place = None if pose is None or len(layers) > 1 else (layers[0].geometry, pose.tobytes())
+        self._crowns = layers[0].geometry.crowns
+        # The hits of rays that pass crowns are not those of the truth.
+        alone = pose is not None and len(layers) == 1 and self._crowns is None
+        self._place = (layers[0].geometry, pose.tobytes()) if alone and pose is not None else None
         self._layers, self.rays, self._medium = layers, rays, medium
-        copies = [surface.instances is not None for layer in layers for surface in layer.geometry.surfaces]
+        copies = [isinstance(each.instances, Instances) for layer in layers for each in layer.geometry.surfaces]
         self._copies = layers[0].geometry.mi.Float(aligned(copies)) if any(copies) else None
         sampling, self._mi = plan.sampling, layers[0].geometry.mi
         self._samples = sampling.samples
@@ -295,6 +300,7 @@ class Tracer:
             layers,
             lambda layer: view_ray(mi, *layer.view, *cell.slope),
             partial(self._read, cell, reading),
+            Geometry.seen_through,
             known=known,
         )
         hit, ray = replace(hit, strong=strong), view_ray(mi, *layers[0].view, *cell.slope)
@@ -303,7 +309,24 @@ class Tracer:
             added, mirrored = mirrors.correction(layers, mirrors.DEPTH, *met)
             hit, total = replace(hit, mirrored=mirrored), [a + b for a, b in zip(total, added, strict=True)]
         climb = Climb.of(layers[0].view[0], ray.d.z, cell) if split else None
-        return hit, self._medium.at_camera(hit, total, ray.o, ray.d, climb)
+        values = self._medium.at_camera(hit, total, ray.o, ray.d, climb)
+        return (hit, values) if self._crowns is None else self._behind_leaves(ray, hit, values)
+
+    def _behind_leaves(self, ray: Jit, hit: Hit, values: list[Jit]) -> tuple[Hit, list[Jit]]:
+        """(hits, radiance) of rays with the leaves in front of what they hit, from those without."""
+        layer, crowns, mi = self._layers[0], self._crowns, self._mi
+        assert crowns is not None
+        leaves = along(layer.geometry, layer.outgoing, ray, dr.select(hit.valid, hit.distance, np.inf))
+        some = leaves.passed < 1.0
+        surface, face = (dr.gather(mi.UInt32, each, leaves.crown, some) for each in (crowns.surface, crowns.first_face))
+        near = Hit(some, dr.select(some, leaves.distance, 1.0), face, surface)
+        shown = self._medium.at_camera(near, leaves.channels, ray.o, ray.d)
+        values = [dr.select(some, dr.lerp(b, a, leaves.passed), a) for a, b in zip(values, shown, strict=True)]
+        most = leaves.passed < 0.5
+        chosen = ((getattr(near, name), getattr(hit, name)) for name in ("valid", "distance", "face", "surface"))
+        found = Hit(*(dr.select(most, a, b) for a, b in chosen))
+        mirrored = dr.select(most, 0.0, hit.mirrored)
+        return replace(found, mirrored=mirrored, strong=mi.Bool(hit.strong) & ~most), values
 
     def _read(self, cell: Footprint, reading: Reading, at: LayerHit) -> list[Jit]:
         """[whether the light on the face is strong, texel and row as of `mirrors.met`, mean channels over the cell]."""

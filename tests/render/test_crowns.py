@@ -1,0 +1,140 @@
+"""Crowns as turbid media: Beer's law, form factors and temperatures, against closed forms and explicit leaves."""
+
+import drjit as dr
+import numpy as np
+import pytest
+
+import thermorender as tr
+from scenes import coarse, scene_object, write_terrain
+from thermorender.render.geometry import Geometry
+from thermorender.render.light import radiosity
+from thermorender.render.variant import activate
+
+TREES = (
+    "east_m,north_m,above_ground_m,width_m,length_m,height_m,leaf_area_1_m,yaw_deg\n"
+    "-3,2,1,4,4,3,1.2,0\n3,1.5,0.2,3,5,2,0.5,30\n0,-3,0,2,2,5,2,0\n2,2,0.5,2,3,2,1,-70\n"
+)
+
+
+def write_crowns(folder, trees=TREES, kelvin=290.0, **terrain):
+    """Write a flat scene with overlapping ellipsoids and a hedge of two boxes side by side; return its folder."""
+    folder.mkdir(parents=True)
+    (folder / "trees.csv").write_text(trees, encoding="utf-8")
+    common = {"material": "broadleaf", "temperature": kelvin}
+    extra = scene_object("trees", shape="sphere", instances="trees.csv", leaf_area_1_m=1.0, **common)
+    for k, x in enumerate((-1.5, 1.5)):
+        extra += scene_object(f"hedge{k}", [3.0, 1.0, 1.5], [x, 5.0, 0.0], shape="box", leaf_area_1_m=2.0, **common)
+    return write_terrain(folder, extra=extra, **terrain)
+
+
+def rays(mi, start, end):
+    """Rays (mi.Ray3f) between points (n, 3), and their lengths."""
+    length = np.linalg.norm(end - start, axis=1)
+    way = (end - start) / length[:, None]
+    return mi.Ray3f(mi.Point3f(*map(mi.Float, start.T)), mi.Vector3f(*map(mi.Float, way.T))), length
+
+
+def optical_depth(surfaces, start, end):
+    """G × density × chord, summed over all crowns, in float64; the chords are those of quadratics and slabs."""
+    length = np.linalg.norm(end - start, axis=1)
+    way, total = (end - start) / length[:, None], np.zeros(len(start))
+    for crowns in (each.instances for each in surfaces if each.instances is not None):
+        for k in range(len(crowns)):
+            heading = np.radians(crowns.yaw_deg[k])
+            right, ahead = (np.cos(heading), -np.sin(heading)), (np.sin(heading), np.cos(heading))
+            own = np.array([[*right, 0.0], [*ahead, 0.0], [0.0, 0.0, 1.0]]).T
+            q, w = (start - crowns.middle[k]) @ own / crowns.half[k], way @ own / crowns.half[k]
+            if crowns.box:
+                one, other = (-1.0 - q) / w, (1.0 - q) / w
+                low, high = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
+            else:
+                a, b, c = (w * w).sum(axis=1), (q * w).sum(axis=1), (q * q).sum(axis=1) - 1.0
+                root = np.sqrt(np.maximum(b * b - a * c, 0.0))
+                low, high = (-b - root) / a, (-b + root) / a
+            total += 0.5 * crowns.density[k] * np.maximum(np.minimum(high, length) - np.maximum(low, 0.0), 0.0)
+    return total
+
+
+@pytest.mark.parametrize("away_m", [6.0, 60.0, 900.0])
+def test_rays_pass_crowns_by_the_law_of_beer(tmp_path, away_m):
+    scene, mi, draw = tr.load_scene(write_crowns(tmp_path / "s")), activate(), np.random.default_rng(2)
+    geometry = Geometry(mi, scene.surfaces)
+    count = 40_000
+    end = np.column_stack([draw.uniform(-5.0, 5.0, (count, 2)), draw.uniform(0.0, 3.0, count)])
+    way = draw.standard_normal((count, 3))
+    start = end + away_m * np.abs(way) * [1, 1, 1] / np.linalg.norm(way, axis=1)[:, None] * np.sign(way) * [1, 1, 0.2]
+    start[:, 2] = np.abs(start[:, 2])
+    ray, length = rays(mi, start, end)
+    passed = np.array(geometry.crowns.transmittance(ray, mi.Float(length)))
+    expected = np.exp(-optical_depth(scene.surfaces, start.astype(np.float32).astype(float), end))
+    assert 0.2 < (expected < 0.999).mean()
+    # Float32 at 900 m places a point to 0.06 mm; rays that graze a body err by the root of that.
+    np.testing.assert_allclose(passed, expected, atol=0.02)
+    assert np.sqrt(((passed - expected) ** 2).mean()) < 3e-4
+    # Free flights end as often as light is lost.
+    met = np.array(geometry.crowns.drawn(ray, mi.Float(length))[0].met)
+    off = met.sum() - (1.0 - expected).sum()
+    assert abs(off) < 4.0 * np.sqrt((expected * (1.0 - expected)).sum())
+
+
+def test_flights_end_where_beers_law_says(tmp_path):
+    scene, mi = tr.load_scene(write_crowns(tmp_path / "s")), activate()
+    geometry, count = Geometry(mi, scene.surfaces), 20_000
+    draw = np.random.default_rng(3)
+    # Through the middle of the first tree, 3 m high, downwards: its depth is 0.6 per metre.
+    start = np.column_stack([-3.0 + 1e-3 * draw.standard_normal((count, 2))[:, :1], np.full((count, 1), 2.0),
+                             np.full((count, 1), 9.0)])  # fmt: skip
+    end = start - [0.0, 0.0, 8.9]
+    ray, length = rays(mi, start, end)
+    flight, _ = geometry.crowns.drawn(ray, mi.Float(length))
+    met, height = np.array(flight.met), 9.0 - np.array(flight.distance)
+    for level in (3.5, 2.5, 1.5):
+        share = (met & (height > level)).mean()
+        expected = 1.0 - np.exp(-0.6 * (4.0 - level))
+        assert abs(share - expected) < 4.0 * np.sqrt(expected * (1.0 - expected) / count)
+    assert np.array(flight.upper)[met & (height > 2.51)].all()
+
+
+def test_crowns_in_an_isothermal_enclosure_are_a_blackbody(tmp_path):
+    warm = np.full((32, 32), 290.0)
+    scene = tr.load_scene(write_crowns(tmp_path / "s", temperature=warm, sky=290.0))
+    frame = tr.Renderer(coarse(scene, 8), "fast").frame(tr.pose(0.0, 0.0, 20.0, pitch_deg=-90.0))
+    assert (frame.truth["object"] == 1).sum() > 100
+    shown = frame.truth["object"] > 0
+    np.testing.assert_allclose(frame.apparent_temperature[shown], 290.0, atol=0.01)
+
+
+def test_form_factors_are_reciprocal(tmp_path):
+    scene = tr.load_scene(write_crowns(tmp_path / "s"))
+    geometry = Geometry(activate(), scene.surfaces)
+    flow = radiosity.trace(geometry, 2048).operator.toarray() * geometry.area[:, None]
+    first = geometry.face_start[1]
+    # From the terrain as a whole and between patches, whose number of rays is large.
+    parts = np.concatenate([[0], np.arange(first, geometry.face_count)])
+    there = np.add.reduceat(np.add.reduceat(flow, parts, axis=0), parts, axis=1)
+    # A patch is 1024 points, whose number limits what its rays find: the terrain's rays have no such limit.
+    area = np.add.reduceat(geometry.area, parts)
+    share = np.maximum(there, there.T) / area[:, None]
+    error = area[:, None] * np.sqrt(share * np.maximum(1.0 - share, 0.0) / 1024)
+    patches = slice(1, None)
+    off = (there - there.T)[patches] / np.maximum(np.hypot(error, error.T)[patches], 0.02)
+    assert np.abs(off).max() < 4.0 and (np.abs(there - there.T)[patches] < 0.1 * there[patches]).mean() > 0.1
+    np.testing.assert_allclose(there[patches, 0].sum(), there[0, patches].sum(), rtol=0.02)
+
+
+def test_sky_below_a_wide_crown_is_that_of_a_turbid_layer(tmp_path):
+    # A box of 400 m is a layer: the diffuse transmittance is 2 E₃(depth) for level ground.
+    from scipy.special import expn
+
+    wide = "east_m,north_m,above_ground_m,width_m,length_m,height_m\n0,0,0.5,400,400,2\n"
+    folder = write_terrain(tmp_path / "s", extra=scene_object(
+        "crop", shape="box", instances="crop.csv", leaf_area_1_m=0.8, material="broadleaf", temperature=290.0
+    ))  # fmt: skip
+    (folder / "crop.csv").write_text(wide, encoding="utf-8")
+    geometry = Geometry(activate(), tr.load_scene(folder).surfaces)
+    traced = radiosity.trace(geometry, 512)
+    ground = slice(0, geometry.face_start[1])
+    sky = traced.sky[ground].sum(axis=1)
+    expected = 2.0 * expn(3, 0.5 * 0.8 * 2.0)
+    assert sky.mean() == pytest.approx(expected, abs=4.0 * sky.std() / np.sqrt(len(sky)) + 0.002)
+    assert dr.all(geometry.crowns.extinction(activate().UInt32([0])) > 0.39)

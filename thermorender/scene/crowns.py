@@ -1,0 +1,129 @@
+"""Crowns of leaves as turbid media: ellipsoids and boxes that light passes by Beer's law.
+
+Leaves of all orientations let the share exp(−G a s) of the light along a path of s [m] through, with a leaf area density
+of a [m²/m³, one side] and G = 1/2 (Ross 1981, doi:10.1007/978-94-009-8647-3). They are thin: both sides have the same
+temperature. The rest of the package sees each crown as a few patches, of one texel each: the lower and the upper half,
+and of each the sides of leaves that face down and up.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.scene.meshes.mesh import one_texel_each
+from thermorender.scene.surface import Surface
+
+Floats = NDArray[np.float64]
+
+# Mean projection of leaves of all orientations, per area of one side.
+PROJECTION = 0.5
+# Patches of a crown: 2 × (upper half) + (sides that face up).
+PATCHES = 4
+# Least and largest leaf area density [m²/m³]: sparse grass, and more than any clipped hedge.
+DENSITIES = (1e-3, 100.0)
+# Further columns of a table of crowns: least and largest value, and unit.
+COLUMNS = {
+    **dict.fromkeys(("width_m", "length_m", "height_m"), (1e-2, 1e3, "m")), "leaf_area_1_m": (*DENSITIES, "m²/m³"),
+    **dict.fromkeys(("red", "green", "blue"), (0.0, 255.0, "of sRGB")),
+}  # fmt: skip
+_SEED = 0x1EAF
+
+
+@dataclass(frozen=True, eq=False)
+class Crowns:
+    """Turbid bodies of one shape."""
+
+    box: bool  # A box; else an ellipsoid
+    middle: Floats  # (n, 3) float64 in the scene's frame [m]
+    half: Floats  # (n, 3) float64 half of the extents along the body's own axes [m]
+    yaw_deg: Floats  # (n,) float64 heading of the y axis, clockwise from north
+    density: Floats  # (n,) float64 area of one side of leaves per volume [m²/m³]
+
+    patches: ClassVar[int] = PATCHES
+
+    def __len__(self) -> int:
+        return len(self.middle)
+
+    @property
+    def volume(self) -> Floats:
+        """Volume of each crown, (n,) [m³]."""
+        found: Floats = (8.0 if self.box else 4.0 / 3.0 * np.pi) * self.half.prod(axis=1)
+        return found
+
+    @property
+    def area(self) -> Floats:
+        """Area of the sides of leaves of each patch, (n × PATCHES,) [m²]."""
+        return np.repeat(0.5 * self.density * self.volume, PATCHES)
+
+    @property
+    def axes(self) -> Floats:
+        """Columns are the crowns' own axes in the scene's frame, (n, 3, 3)."""
+        heading = np.radians(self.yaw_deg)
+        found = np.zeros((len(self), 3, 3))
+        found[:, 0, 0] = found[:, 1, 1] = np.cos(heading)
+        found[:, 0, 1], found[:, 1, 0] = np.sin(heading), -np.sin(heading)
+        found[:, 2, 2] = 1.0
+        return found
+
+    def stand_ins(self) -> tuple[Floats, NDArray[np.int32]]:
+        """Return (vertices, faces) of a triangle for each patch, which together reach to the corners of its box."""
+        corner = np.array([
+            [[x, -1.0, low], [-x, 1.0, low + 1.0], [0.0, 0.0, low + 0.5]] for low in (-1.0, 0.0) for x in (-1.0, 1.0)
+        ])  # fmt: skip
+        local = corner * self.half[:, None, None]
+        vertices = np.einsum("nij,npkj->npki", self.axes, local) + self.middle[:, None, None]
+        vertices = vertices.reshape(-1, 3)
+        return vertices, np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+
+    def leaves(self, count: int) -> tuple[Floats, Floats]:
+        """Return (points in the unit body, normals) of `count` leaves of each patch, (PATCHES, count, 3) each.
+
+        Points are even over a cube or ball of half-width 1, and normals over the directions of their side.
+        """
+        from scipy.stats import qmc
+
+        # In random order: the directions of rays are Sobol' points too.
+        random = np.random.Generator(np.random.Philox(_SEED))
+        u = random.permutation(qmc.Sobol(5, seed=random).random(PATCHES * count)).reshape(PATCHES, count, 5)
+        if self.box:
+            point = 2.0 * u[..., :3] - 1.0
+        else:
+            height, turn = 2.0 * u[..., 0] - 1.0, 2.0 * np.pi * u[..., 1]
+            level = np.sqrt(1.0 - height**2)
+            point = np.cbrt(u[..., 2:3]) * np.stack([level * np.cos(turn), level * np.sin(turn), height], axis=-1)
+        turn, level = 2.0 * np.pi * u[..., 3], np.sqrt(1.0 - u[..., 4] ** 2)
+        normal = np.stack([level * np.cos(turn), level * np.sin(turn), u[..., 4]], axis=-1)
+        patch = np.arange(PATCHES)
+        point[..., 2] = np.abs(point[..., 2]) * np.where(patch >= 2, 1.0, -1.0)[:, None]
+        normal *= np.where(patch % 2, 1.0, -1.0)[:, None, None]
+        return point, normal
+
+
+def placed(surface: Surface, place: Mapping[str, Floats], density_1_m: float) -> Surface:
+    """Return the Surface of crowns of the shape of `surface`, a box or ellipsoid on its base at the origin.
+
+    `place` is {"position": (n, 3) of their bases [m], "yaw_deg": (n,), "scale": (n,)}, and may have "width_m",
+    "length_m", "height_m" and "leaf_area_1_m" in place of the shape's extents and `density_1_m`, and sRGB "red",
+    "green" and "blue", (n,) each.
+    """
+    extent, count = np.ptp(surface.vertices, axis=0), len(place["scale"])
+    size = np.stack([
+        place.get(name, np.full(count, each)) for name, each in zip(("width_m", "length_m", "height_m"), extent, strict=True)
+    ], axis=-1)  # fmt: skip
+    half = 0.5 * place["scale"][:, None] * size
+    middle = place["position"] + half * [0.0, 0.0, 1.0]
+    density = place.get("leaf_area_1_m", np.full(count, density_1_m))
+    crowns = Crowns(surface.name.endswith(":box"), middle, half, place["yaw_deg"], density)
+    vertices, faces = crowns.stand_ins()
+    uv, shape = one_texel_each(len(faces))
+    own = np.broadcast_to(surface.colour[:1, 0], (count, 3))
+    if "red" in place:
+        own = np.stack([place[name] for name in ("red", "green", "blue")], axis=-1).round().astype(np.uint8)
+    return replace(
+        surface, vertices=vertices, faces=faces, uv=uv, colour=np.resize(np.repeat(own, PATCHES, axis=0), (*shape, 3)),
+        material=np.full(shape, surface.material.flat[0]), temperature=np.full(shape, surface.temperature.flat[0]),
+        flags=np.full(shape, surface.flags.flat[0]), texel_m=float(np.sqrt(crowns.area.mean())), instances=crowns,
+    )  # fmt: skip
