@@ -21,7 +21,8 @@ def from_above(
         part = slice(first, first + _AT_ONCE)
         x, y = (mi.Float(aligned(np.ravel(each)[part].astype(np.float32))) for each in (east, north))
         point = mi.Point3f(x, y, mi.Float(top))
-        hit = geometry.cast(mi.Ray3f(point, mi.Vector3f(0.0, 0.0, -1.0)))
+        # Crowns are as high as where half of the light is lost.
+        hit = geometry.seen(mi.Ray3f(point, mi.Vector3f(0.0, 0.0, -1.0)))
         below = mi.Point3f(x, y, top - hit.distance)
         column, row = geometry.map_position(geometry.record(hit.face, hit.valid), below)
         number = np.array(geometry.nearest(hit.surface, column, row, hit.valid)).astype(np.int64)

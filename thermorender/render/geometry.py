@@ -35,6 +35,7 @@ class Hit:
     face: Jit  # number over the whole scene; 0 for a miss
     surface: Jit  # number over the whole scene; 0 for a miss
     mirrored: Jit = 0.0  # from a mirror to the point seen in it [m]; 0 without a mirror
+    leaves: Jit = 0.0  # share of light that crowns in front take; 0 without crowns
     strong: Jit = False  # whether the light on its face differs strongly from that of other faces
 
 
@@ -131,7 +132,7 @@ class Geometry:
         free = ~self.caster.ray_test(ray, coherent=coherent, active=active) & active
         if self.crowns is None:
             return dr.select(free, self.mi.Float(1.0), 0.0)
-        passed = self.crowns.transmittance(ray, dr.select(free, self.mi.Float(np.inf), 0.0), free)
+        passed = self.crowns.transmittance(ray, dr.select(free, self.mi.Float(np.inf), 0.0), free, coherent)
         return dr.select(free, passed, 0.0)
 
     def hit_of(self, found: Jit) -> Hit:
@@ -161,7 +162,8 @@ class Geometry:
         hit = self.seen_through(ray)
         if self.crowns is None:
             return hit
-        flight = self.crowns.flight(ray, hit.distance, dr.opaque(self.mi.Float, float(np.log(2.0))))
+        half = dr.opaque(self.mi.Float, float(np.log(2.0)))
+        flight = self.crowns.flight(ray, hit.distance, half, coherent=True)
         return self._in_crowns(hit, flight, ray.d.z < 0.0)
 
     def seen_through(self, ray: Jit) -> Hit:

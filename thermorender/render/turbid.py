@@ -37,12 +37,48 @@ class Flight(NamedTuple):
     upper: Jit  # Bool, in the upper half of the crown
 
 
+class Frame(NamedTuple):
+    """The frames of crowns in which they are a unit ball or cube."""
+
+    middle: Jit  # Vector3f [m]
+    scale: Jit  # Vector3f, inverse of the half-extents [1/m]
+    turn: Jit  # Vector2f, cosine and sine of the heading
+    extinction: Jit  # optical depth per length [1/m]
+    box: Jit  # Bool
+
+    def vector(self, v: Jit) -> Jit:
+        """Return a vector of the scene's frame in those of the crowns."""
+        scale, turn = self.scale, self.turn
+        return type(self.middle)(
+            scale.x * (turn.x * v.x - turn.y * v.y), scale.y * (turn.y * v.x + turn.x * v.y), scale.z * v.z
+        )
+
+    def point(self, p: Jit) -> Jit:
+        """Return a point of the scene's frame in those of the crowns."""
+        return self.vector(type(self.middle)(p) - self.middle)
+
+    def chord(self, at: Jit, way: Jit) -> tuple[Jit, Jit]:
+        """Return distances at which lines enter and leave the crowns, equal where they miss; `at` and `way` are a point
+        and the direction of unit length in the scene, both in these frames."""
+        # Of an ellipsoid, from the point nearest to its middle: the difference of large squares would not be exact.
+        square = dr.maximum(dr.squared_norm(way), 1e-30)
+        nearest = -dr.dot(at, way) / square
+        reach = dr.safe_sqrt((1.0 - dr.squared_norm(at + nearest * way)) / square)
+        slope = dr.rcp(dr.select(dr.abs(way) < 1e-20, 1e-20, way))
+        one, other = (-1.0 - at) * slope, (1.0 - at) * slope
+        enter, leave = dr.max(dr.minimum(one, other)), dr.min(dr.maximum(one, other))
+        start = dr.select(self.box, enter, nearest - reach)
+        return start, dr.select(self.box, dr.maximum(enter, leave), nearest + reach)
+
+
 class Chord(NamedTuple):
     """A ray's path in a crown."""
 
     crown: Jit  # UInt32; 0 where inactive
+    frame: Frame
+    at: Jit  # Vector3f, origin of the ray in the frame
+    way: Jit  # Vector3f, its direction there
     start: Jit  # distance of its begin [m]
-    extinction: Jit  # optical depth per length [1/m]
     depth: Jit  # optical depth of the whole chord; 0 where inactive
     new: Jit  # Bool, whether there is one
 
@@ -77,7 +113,7 @@ class CrownField:
         boxes = join(lambda c: np.full(len(c), float(c.box)))
         tables = (
             np.column_stack([join(lambda c: c.middle), PROJECTION * join(lambda c: c.density)]),
-            1.0 / join(lambda c: c.half),
+            np.column_stack([1.0 / join(lambda c: c.half), boxes]),
             np.column_stack([np.cos(heading), np.sin(heading)]),
         )
         self._middle, self._half, self._turn = (mi.Float(aligned(table)) for table in tables)
@@ -87,50 +123,23 @@ class CrownField:
             lambda k, face, texel, n: texel + PATCHES * np.arange(n),
         )]  # fmt: skip
         self.surface, self.first_face, self.first_texel = (mi.UInt32(aligned(each, np.uint32)) for each in per)
-        self.shapes = mi.Float(aligned(boxes))  # 1 of boxes, 0 of ellipsoids
         self._hair = dr.opaque(mi.Float, hair)
         self.crowns, self.numbers = every, [k for k, _ in own]
 
-    def local(self, crown: Jit, point: Jit, direction: Jit, active: Jit) -> tuple[Jit, Jit]:
-        """Return points and directions in the frame in which a crown is a unit ball or cube."""
+    def frame(self, crown: Jit, active: Jit = True) -> Frame:
+        """Return the Frame of crowns."""
         mi = self._mi
-        middle = dr.gather(mi.Vector4f, self._middle, crown, active)
-        half = dr.gather(mi.Vector3f, self._half, crown, active)
+        middle, half = (dr.gather(mi.Vector4f, table, crown, active) for table in (self._middle, self._half))
         turn = dr.gather(mi.Vector2f, self._turn, crown, active)
-
-        def turned(v: Jit) -> Jit:
-            return mi.Vector3f(
-                half.x * (turn.x * v.x - turn.y * v.y), half.y * (turn.y * v.x + turn.x * v.y), half.z * v.z
-            )
-
-        offset = mi.Vector3f(point.x - middle.x, point.y - middle.y, point.z - middle.z)
-        return turned(offset), turned(direction)
-
-    def chord(self, crown: Jit, point: Jit, direction: Jit, active: Jit) -> tuple[Jit, Jit]:
-        """Return distances [m] at which lines enter and leave crowns; equal where they miss."""
-        mi = self._mi
-        at, way = self.local(crown, point, direction, active)
-        box = dr.gather(mi.Float, self.shapes, crown, active) > 0.5
-        # Of an ellipsoid, from the point nearest to its middle: the difference of large squares would not be exact.
-        square = dr.maximum(dr.squared_norm(way), 1e-30)
-        nearest = -dr.dot(at, way) / square
-        reach = dr.safe_sqrt((1.0 - dr.squared_norm(at + nearest * way)) / square)
-        slope = dr.rcp(dr.select(dr.abs(way) < 1e-20, 1e-20, way))
-        one, other = (-1.0 - at) * slope, (1.0 - at) * slope
-        enter, leave = dr.max(dr.minimum(one, other)), dr.min(dr.maximum(one, other))
-        start = dr.select(box, enter, nearest - reach)
-        return start, dr.select(box, dr.maximum(enter, leave), nearest + reach)
-
-    def extinction(self, crown: Jit, active: Jit = True) -> Jit:
-        """Return the optical depth per length in crowns [1/m]."""
-        return dr.gather(self._mi.Float, self._middle, 4 * crown + 3, active)
+        three = (mi.Vector3f(each.x, each.y, each.z) for each in (middle, half))
+        return Frame(*three, turn, middle.w, half.w > 0.5)
 
     def walk(
         self, ray: Jit, until: Jit, active: Jit, state: tuple[Jit, ...],
-        visit: Callable[[Chord, tuple[Jit, ...]], tuple[Jit, tuple[Jit, ...]]],
+        visit: Callable[[Chord, tuple[Jit, ...]], tuple[Jit, tuple[Jit, ...]]], coherent: bool = False,
     ) -> tuple[Jit, ...]:  # fmt: skip
         """Return `state` after `visit(chord, state)`, which returns (whether to go on, state), of each crown that rays
-        meet before `until` [m]."""
+        meet before `until` [m]. `coherent` rays are those of a view or towards the sun, side by side."""
         mi = self._mi
         origin, direction = mi.Point3f(ray.o), mi.Vector3f(ray.d)
         none = mi.UInt32(0xFFFFFFFF)
@@ -140,17 +149,18 @@ class CrownField:
 
         def step(going: Jit, at: Jit, after: Jit, *rest: Jit) -> tuple[Jit, ...]:
             seen, now = rest[:_REMEMBERED], rest[_REMEMBERED:]
-            found = self._hulls.ray_intersect_preliminary(mi.Ray3f(origin + at * direction, direction), active=going)
+            found = self._hulls.ray_intersect_preliminary(mi.Ray3f(origin + at * direction, direction), coherent=coherent, active=going)
             hit = found.is_valid() & going
             crown = dr.gather(mi.UInt32, self._owner, found.prim_index, hit)
             new = mi.Bool(hit)
             for each in seen:
                 new &= crown != each
-            start, end = self.chord(crown, origin, direction, new)
+            frame = self.frame(crown, new)
+            place, way = frame.point(origin), frame.vector(direction)
+            start, end = frame.chord(place, way)
             start = dr.maximum(start, 0.0)
             length = dr.select(new, dr.maximum(dr.minimum(end, until) - start, 0.0), 0.0)
-            extinction = self.extinction(crown, new)
-            chord = Chord(crown, start, extinction, extinction * length, new & (length > 0.0))
+            chord = Chord(crown, frame, place, way, start, frame.extinction * length, new & (length > 0.0))
             on, now = visit(chord, now)
             remembered = [dr.select(new, value, old) for value, old in zip((crown, *seen[:-1]), seen, strict=True)]
             at = at + dr.select(hit, found.t + self._hair, 0.0)
@@ -162,17 +172,17 @@ class CrownField:
         first = (begin, dr.zeros(mi.Float, width), dr.zeros(mi.UInt32, width), *([none] * _REMEMBERED), *state)
         return dr.while_loop(first, goes_on, step)[3 + _REMEMBERED :]
 
-    def transmittance(self, ray: Jit, until: Jit, active: Jit = True) -> Jit:
+    def transmittance(self, ray: Jit, until: Jit, active: Jit = True, coherent: bool = False) -> Jit:
         """Return the share of light that passes the crowns along rays up to `until` [m], Float."""
 
         def visit(chord: Chord, state: tuple[Jit, ...]) -> tuple[Jit, tuple[Jit, ...]]:
             depth = state[0] + chord.depth
             return depth < -np.log(_OPAQUE), (depth,)
 
-        (depth,) = self.walk(ray, until, active, (dr.zeros(self._mi.Float, dr.width(ray.d)),), visit)
+        (depth,) = self.walk(ray, until, active, (dr.zeros(self._mi.Float, dr.width(ray.d)),), visit, coherent)
         return dr.exp(-depth)
 
-    def flight(self, ray: Jit, until: Jit, depth: Jit, active: Jit = True) -> Flight:
+    def flight(self, ray: Jit, until: Jit, depth: Jit, active: Jit = True, coherent: bool = False) -> Flight:
         """Return the Flight of rays to an optical depth, before `until` [m]."""
         mi = self._mi
 
@@ -181,15 +191,15 @@ class CrownField:
             here = chord.new & (chord.depth >= left)
             return ~here, (
                 left - dr.select(here, 0.0, chord.depth), met | here,
-                dr.select(here, chord.start + left / chord.extinction, distance), dr.select(here, chord.crown, crown),
+                dr.select(here, chord.start + left / chord.frame.extinction, distance), dr.select(here, chord.crown, crown),
             )  # fmt: skip
 
         width = dr.width(ray.d)
         begin = mi.Float(depth), dr.zeros(mi.Bool, width), dr.full(mi.Float, np.inf, width), dr.zeros(mi.UInt32, width)
         if dr.width(begin[0]) != width:
             begin = (dr.zeros(mi.Float, width) + depth, *begin[1:])
-        _, met, distance, crown = self.walk(ray, until, active, begin, visit)
-        at, _ = self.local(crown, ray.o + dr.select(met, distance, 0.0) * ray.d, ray.d, met)
+        _, met, distance, crown = self.walk(ray, until, active, begin, visit, coherent)
+        at = self.frame(crown, met).point(ray.o + dr.select(met, distance, 0.0) * ray.d)
         return Flight(met, distance, crown, at.z >= 0.0)
 
     def drawn(self, ray: Jit, until: Jit, active: Jit = True) -> tuple[Flight, Jit]:

@@ -8,13 +8,15 @@ and of each the sides of leaves that face down and up.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.errors import ThermorenderError
 from thermorender.scene.meshes.mesh import one_texel_each
-from thermorender.scene.surface import Surface
+from thermorender.scene.surface import Surface, scene_kelvin
 
 Floats = NDArray[np.float64]
 
@@ -26,9 +28,12 @@ PATCHES = 4
 DENSITIES = (1e-3, 100.0)
 # Further columns of a table of crowns: least and largest value, and unit.
 COLUMNS = {
+    "up_m": (-1e5, 1e5, "m in the local frame, instead of above_ground_m"),
     **dict.fromkeys(("width_m", "length_m", "height_m"), (1e-2, 1e3, "m")), "leaf_area_1_m": (*DENSITIES, "m²/m³"),
     **dict.fromkeys(("red", "green", "blue"), (0.0, 255.0, "of sRGB")),
 }  # fmt: skip
+# Columns of a table of leaf temperatures: the mean of the leaves in each half, and a leaf there in the sun [K].
+KELVIN = ("lower_k", "upper_k", "lower_sunlit_k", "upper_sunlit_k")
 _SEED = 0x1EAF
 
 
@@ -102,12 +107,26 @@ class Crowns:
         return point, normal
 
 
+def read_kelvin(path: Path, rows: int) -> dict[str, Floats]:
+    """Return {column of KELVIN: (n,)} of a table of leaf temperatures, with a row for each crown."""
+    from thermorender.scene.tracks import read_columns
+
+    columns, numbers = read_columns(path, KELVIN, ())
+    if len(numbers) != rows:
+        raise ThermorenderError(
+            f"{path} has {len(numbers)} rows of temperatures for {rows} crowns; give one for each row of instances"
+        )
+    for name, values in columns.items():
+        scene_kelvin(f"{path}: {name}", values)
+    return columns
+
+
 def placed(surface: Surface, place: Mapping[str, Floats], density_1_m: float) -> Surface:
     """Return the Surface of crowns of the shape of `surface`, a box or ellipsoid on its base at the origin.
 
     `place` is {"position": (n, 3) of their bases [m], "yaw_deg": (n,), "scale": (n,)}, and may have "width_m",
-    "length_m", "height_m" and "leaf_area_1_m" in place of the shape's extents and `density_1_m`, and sRGB "red",
-    "green" and "blue", (n,) each.
+    "length_m", "height_m" and "leaf_area_1_m" in place of the shape's extents and `density_1_m`, sRGB "red", "green"
+    and "blue", and the columns of KELVIN, (n,) each.
     """
     extent, count = np.ptp(surface.vertices, axis=0), len(place["scale"])
     size = np.stack([
@@ -122,8 +141,14 @@ def placed(surface: Surface, place: Mapping[str, Floats], density_1_m: float) ->
     own = np.broadcast_to(surface.colour[:1, 0], (count, 3))
     if "red" in place:
         own = np.stack([place[name] for name in ("red", "green", "blue")], axis=-1).round().astype(np.uint8)
+    temperature, scatter = np.full(shape, surface.temperature.flat[0]), None
+    if KELVIN[0] in place:
+        halves = np.stack([place[name] for name in KELVIN], axis=-1)[:, [0, 0, 1, 1, 2, 2, 3, 3]]
+        mean, sunlit = halves[:, :PATCHES].reshape(-1), halves[:, PATCHES:].reshape(-1)
+        temperature = np.resize(mean, shape).astype(np.float32)
+        scatter = np.resize(np.maximum(sunlit - mean, 0.0), shape).astype(np.float32)
     return replace(
         surface, vertices=vertices, faces=faces, uv=uv, colour=np.resize(np.repeat(own, PATCHES, axis=0), (*shape, 3)),
-        material=np.full(shape, surface.material.flat[0]), temperature=np.full(shape, surface.temperature.flat[0]),
+        material=np.full(shape, surface.material.flat[0]), temperature=temperature, scatter_k=scatter,
         flags=np.full(shape, surface.flags.flat[0]), texel_m=float(np.sqrt(crowns.area.mean())), instances=crowns,
     )  # fmt: skip

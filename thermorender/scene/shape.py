@@ -118,13 +118,14 @@ def _copies(one: TrackedObject, ground: Ground, where: str) -> list[Surface]:
         )
     top = row.get("height_m", max(float(surface.vertices[:, 2].max()) for surface in one.surfaces)) * row["scale"]
     top += row["above_ground_m"] + item.position[2] + one.lift_m
-    if (top <= 0.0).any():
+    # Heights in the local frame may be below a roof.
+    if "up_m" not in row and (top <= 0.0).any():
         off = int(np.argmax(top <= 0.0))
         raise ThermorenderError(
             f"{where}: object {item.name!r} has a copy at {east[off]:g} m east, {north[off]:g} m north whose top is "
             f"{-top[off]:g} m below the ground; give above_ground_m in {item.instances} in metres above the terrain"
         )
-    up = height + row["above_ground_m"] + item.position[2] + one.lift_m
+    up = row.get("up_m", height) + row["above_ground_m"] + item.position[2] + one.lift_m
     place = dict(row) | {
         "position": np.column_stack([east, north, up]),
         "yaw_deg": row["yaw_deg"] + item.yaw_deg,

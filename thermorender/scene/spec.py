@@ -66,8 +66,10 @@ def kelvin(value: Any, where: Where, allow_zero: bool = False) -> float:
     return float(scene_kelvin(str(where), number()(value, where), allow_zero))
 
 
-def kelvin_or_balance(value: Any, where: Where) -> float | None:
-    """Read a temperature [K], or "balance" for one that the heat balance solves, None."""
+def kelvin_of_object(value: Any, where: Where) -> "float | Path | None":
+    """Read a temperature [K], the name of a table of leaf temperatures, or None: "balance", by the heat balance."""
+    if isinstance(value, str) and value.lower().endswith(".csv"):
+        return file_inside(value, where)
     return None if value == BALANCE else kelvin(value, where)
 
 
@@ -282,8 +284,8 @@ class ObjectSpec:
     flip: bool = key(flag, False)
     # Whether it stands upright on a slope; by default `thermorender.scene.footing.upright` decides.
     upright: bool | None = key(flag, None)
-    # Kelvin; None is solved by the heat balance.
-    temperature: float | None = key(kelvin_or_balance)
+    # Kelvin, or of crowns a table; None is solved by the heat balance.
+    temperature: "float | Path | None" = key(kelvin_of_object)
     material: str = key(text)
     # Heat that enters the sheets from within, such as an engine's, and its shares by parts of the mesh's file; without
     # shares it is even over the area.
@@ -307,6 +309,10 @@ class ObjectSpec:
         if self.leaf_area_1_m is not None and (self.track or self.shape not in ("box", "sphere")):
             where.of("leaf_area_1_m").refuse(
                 self.leaf_area_1_m, "it with shape='box' or 'sphere', and without track: a crown stands still"
+            )
+        if isinstance(self.temperature, Path) and not (self.leaf_area_1_m and self.instances):
+            where.of("temperature").refuse(
+                str(self.temperature), "a table with leaf_area_1_m and instances only, for each of these crowns"
             )
         if self.temperature is None and self.track:
             where.of("temperature").refuse(
@@ -335,8 +341,8 @@ class ObjectSpec:
 
     @property
     def kelvin(self) -> float:
-        """The temperature [K]; NaN where the heat balance solves it."""
-        return np.nan if self.temperature is None else self.temperature
+        """The temperature [K]; NaN where the heat balance solves it, and of crowns with a table."""
+        return self.temperature if isinstance(self.temperature, float) else np.nan
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ Inputs are the fields of `Declared`; the key `x` of the scene file is `spec_x`.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -355,14 +356,14 @@ def covered(
     return None if given or (plain and not follows) else (cover, materials)
 
 
-def object_heat(spec_objects: Sequence[ObjectSpec]) -> tuple[tuple[float | None, float], ...]:
+def object_heat(spec_objects: Sequence[ObjectSpec]) -> tuple[tuple["float | Path | None", float], ...]:
     """Return (temperature [K], None where the heat balance solves it, and inner heat [W]) of each object."""
     return tuple((item.temperature, item.inner_heat_w) for item in spec_objects)
 
 
 def surfaces(
     shape: Shape, cover: Cover, materials: tuple[Material, ...], temperatures: Temperatures,
-    object_heat: tuple[tuple[float | None, float], ...], in_memory: InMemory | None, where: str,
+    object_heat: tuple[tuple["float | Path | None", float], ...], in_memory: InMemory | None, where: str,
 ) -> tuple[Surface, ...]:  # fmt: skip
     """Return the surfaces: the terrain's first, then those of objects without a track."""
     terrain = tuple(
@@ -378,7 +379,7 @@ def surfaces(
 
 
 def _objects(
-    shape: Shape, cover: Cover, materials: tuple[Material, ...], object_heat: tuple[tuple[float | None, float], ...],
+    shape: Shape, cover: Cover, materials: tuple[Material, ...], object_heat: tuple[tuple["float | Path | None", float], ...],
     where: str,
 ) -> Iterator[Surface]:  # fmt: skip
     """Yield the surfaces of objects without a track, NaN where the heat balance solves their temperature."""
@@ -424,11 +425,14 @@ def tracked_objects(
     )  # fmt: skip
 
 
-def _covered(surface: Surface, material: int, kelvin: float | None) -> Surface:
-    """A surface of one material and temperature, NaN where it is to be solved."""
+def _covered(surface: Surface, material: int, kelvin: "float | Path | None") -> Surface:
+    """A surface of one material and temperature, NaN where it is to be solved; crowns may have those of a table."""
     texels = surface.flags.shape
+    own = replace(surface, material=np.full(texels, material, np.uint8))
+    if isinstance(kelvin, Path):
+        return own
     warm = np.full(texels, np.nan if kelvin is None else kelvin, np.float32)
-    return replace(surface, material=np.full(texels, material, np.uint8), temperature=warm)
+    return replace(own, temperature=warm, scatter_k=None)
 
 
 def temperature_state(temperatures: Temperatures) -> TemperatureState:

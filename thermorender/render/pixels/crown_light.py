@@ -6,6 +6,7 @@ orientations that are in the sun and seen at a phase angle g have 8/(3π) (sin g
 excess, since those that face the sun are warmest (mean of |n·s||n·v| over all normals n).
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ from thermorender.physics import sun
 from thermorender.render.arrays import Channels, Floats, Jit, aligned
 from thermorender.render.geometry import Geometry
 from thermorender.render.plan import Plan
-from thermorender.render.turbid import Chord
+from thermorender.render.turbid import Chord, CrownField, Frame
 from thermorender.scene.crowns import PATCHES
 from thermorender.scene.scene import Scene
 
@@ -34,7 +35,8 @@ _MEAN_HEIGHT = 0.375, 0.5
 _PLACES = 0.2113248654, 0.7886751346
 # Least share of shaded leaves, by which the difference of sunlit and mean leaves is divided.
 _LEAST_SHADED = 0.05
-_NO_LEAVES = 1e-4
+# A ray that passes less than this share is stopped.
+_NO_LEAVES = 1e-3
 
 
 @dataclass(frozen=True)
@@ -44,97 +46,86 @@ class Along:
     passed: Jit  # share of light that passes
     distance: Jit  # mean distance of the leaves seen [m]; 0 without
     channels: list[Jit]  # mean radiance of the leaves seen; 0 without
-    crown: Jit  # UInt32, the crown in which half of the light is lost; 0 without
 
 
 class SunlitLeaves:
-    """The sunlit leaves of a scene's crowns, whose temperatures are solved."""
+    """The sunlit leaves of a scene's crowns, whose temperatures are solved; `towards` (3,) points to the sun."""
 
-    def __init__(self, scene: Scene, plan: Plan, geometry: Geometry) -> None:
+    def __init__(self, scene: Scene, plan: Plan, geometry: Geometry, towards: Floats) -> None:
         field, mi = geometry.crowns, geometry.mi
-        assert field is not None and scene.sun is not None
+        assert field is not None
         self._mi, self._geometry = mi, geometry
-        towards = sun.direction(scene.sun.elevation_deg, scene.sun.azimuth_deg)
         self._towards = mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))
-        self._others = mi.Float(aligned(self._lattice()))
-        lit = self._means().reshape(-1, 2)
-        table = []
-        first = 0
+        self._others = mi.Float(aligned(self._lattice(field)))
+        lit = self._means(field)
+        table, first = [], 0
         for number, crowns in zip(field.numbers, field.crowns, strict=True):
-            surface, own = scene.surfaces[number], np.repeat(lit[first : first + len(crowns)], 2, axis=1).reshape(-1)
+            surface, mean = scene.surfaces[number], lit[first : first + len(crowns)]
             first += len(crowns)
-            count = PATCHES * len(crowns)
-            warmer = np.zeros(count) if surface.scatter_k is None else surface.scatter_k.reshape(-1)[:count]
-            mean = surface.temperature.reshape(-1)[:count].astype(np.float64)
-            contrast = warmer / np.maximum(1.0 - own, _LEAST_SHADED)
-            shaded = mean - own * contrast
+            # Both sides of a leaf are equally warm.
+            warm, warmer = (
+                np.zeros((len(crowns), 2)) if each is None
+                else each.reshape(-1)[: PATCHES * len(crowns)].reshape(-1, 2, 2).mean(axis=2).astype(np.float64)
+                for each in (surface.temperature, surface.scatter_k)
+            )  # fmt: skip
+            contrast = warmer / np.maximum(1.0 - mean, _LEAST_SHADED)
+            shaded = warm - mean * contrast
             emits = scene.materials[surface.material.flat[0]].emissivity_at
             grid, of = plan.spectrum.emitted(emits, float(shaded.min()), float((shaded + contrast).max()), plan.band_um)
             more = [np.interp(shaded + contrast, grid, each) - np.interp(shaded, grid, each) for each in of.T]
-            # Both sides of a leaf are equally warm.
-            table.append(np.stack(more, axis=-1).reshape(-1, 2, 2, len(more)).mean(axis=2).reshape(-1, 2 * len(more)))
-        self._more = Channels(mi, np.concatenate(table))
-        self._mean = Channels(mi, lit)
+            table.append(np.concatenate([mean, *more], axis=1))
+        self._halves = Channels(mi, np.concatenate(table))
 
-    def _lattice(self) -> NDArray[np.float32]:
+    def _lattice(self, field: CrownField) -> NDArray[np.float32]:
         """Share of sunlight that other things than the own crown pass, (n × _LATTICE³,), the last axis fastest."""
-        field, mi = self._geometry.crowns, self._mi
-        assert field is not None
         line = np.linspace(-1.0, 1.0, _LATTICE)
         unit = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
         found = []
-        first = 0
-        for crowns in field.crowns:
-            place = np.einsum("nij,nvj->nvi", crowns.axes, unit * crowns.half[:, None]) + crowns.middle[:, None]
-            point = mi.Point3f(*map(aligned, place.reshape(-1, 3).T))
-            crown = mi.UInt32(aligned(np.repeat(first + np.arange(len(crowns)), len(unit)), np.uint32))
-            ray = mi.Ray3f(point, self._towards)
-            own = dr.exp(-self._own_depth(crown, point, True))
-            found.append(np.array(dr.minimum(self._geometry.sunlight(ray) / dr.maximum(own, 1e-6), 1.0)))
-            first += len(crowns)
+        for crown, point in self._points(field, unit):
+            own = dr.exp(-self._own_depth(field.frame(crown), field.frame(crown).point(point)))
+            light = self._geometry.sunlight(self._mi.Ray3f(point, self._towards), coherent=True)
+            found.append(np.array(dr.minimum(light / dr.maximum(own, 1e-6), 1.0)))
         return np.concatenate(found)
 
-    def _own_depth(self, crown: Jit, point: Jit, active: Jit) -> Jit:
-        """Optical depth of the own crown from points towards the sun."""
-        field = self._geometry.crowns
-        assert field is not None
-        start, end = field.chord(crown, point, self._towards, active)
-        length = dr.maximum(end - dr.maximum(start, 0.0), 0.0)
-        return field.extinction(crown, active) * length
+    def _means(self, field: CrownField) -> Floats:
+        """Mean share of sunlit leaves in the lower and the upper half of each crown, (n, 2)."""
+        found = []
+        for crowns, (crown, point) in zip(field.crowns, self._points(field), strict=True):
+            frame = field.frame(crown)
+            share = np.array(self._share(crown, frame, frame.point(point), True), np.float64)
+            found.append(share.reshape(len(crowns), 2, _LEAVES).mean(axis=2))
+        return np.concatenate(found)
 
-    def share(self, crown: Jit, point: Jit, active: Jit) -> Jit:
-        """Return the share of leaves in the sun at points of crowns, Float."""
-        field, mi = self._geometry.crowns, self._mi
-        assert field is not None
-        at, _ = field.local(crown, point, self._towards, active)
+    def _points(self, field: CrownField, unit: Floats | None = None) -> Iterator[tuple[Jit, Jit]]:
+        """Yield (numbers of crowns, points), one after another crown: points `unit` (m, 3) in their frames, or leaves,
+        first of the lower half."""
+        mi, first = self._mi, 0
+        for crowns in field.crowns:
+            # Sides that face up and down are those of the same leaves.
+            own = crowns.leaves(_LEAVES)[0][::2].reshape(-1, 3) if unit is None else unit
+            place = np.einsum("nij,nvj->nvi", crowns.axes, own * crowns.half[:, None]) + crowns.middle[:, None]
+            crown = np.repeat(first + np.arange(len(crowns)), len(own))
+            yield mi.UInt32(aligned(crown, np.uint32)), mi.Point3f(*map(aligned, place.reshape(-1, 3).T))
+            first += len(crowns)
+
+    def _own_depth(self, frame: Frame, at: Jit) -> Jit:
+        """Optical depth of the own crown from points in its frame towards the sun."""
+        start, end = frame.chord(at, frame.vector(self._towards))
+        return frame.extinction * dr.maximum(end - dr.maximum(start, 0.0), 0.0)
+
+    def _share(self, crown: Jit, frame: Frame, at: Jit, active: Jit) -> Jit:
+        """Share of leaves in the sun at points in the frames of crowns."""
+        mi = self._mi
         cell = dr.clip((at + 1.0) * (0.5 * (_LATTICE - 1)), 0.0, _LATTICE - 1.001)
         low = mi.Vector3u(cell)
         part = cell - mi.Vector3f(low)
-        others: Jit = mi.Float(0.0)
-        for k in range(8):
-            corner = [(k >> axis) & 1 for axis in range(3)]
-            index = ((crown * _LATTICE + low.x + corner[0]) * _LATTICE + low.y + corner[1]) * _LATTICE + low.z + corner[2]
-            weight: Jit = mi.Float(1.0)
-            for axis, upper in enumerate(corner):
-                weight = weight * (part[axis] if upper else 1.0 - part[axis])
-            others += weight * dr.gather(mi.Float, self._others, index, active)
-        return others * dr.exp(-self._own_depth(crown, point, active))
-
-    def _means(self) -> Floats:
-        """Mean share of sunlit leaves in the lower and the upper half of each crown, (n, 2)."""
-        field, mi = self._geometry.crowns, self._mi
-        assert field is not None
-        found, first = [], 0
-        for crowns in field.crowns:
-            unit, _ = crowns.leaves(_LEAVES)
-            # Sides that face up and down are those of the same leaves.
-            unit = unit[::2].reshape(-1, 3)
-            place = np.einsum("nij,nvj->nvi", crowns.axes, unit * crowns.half[:, None]) + crowns.middle[:, None]
-            crown = mi.UInt32(aligned(np.repeat(first + np.arange(len(crowns)), len(unit)), np.uint32))
-            share = np.array(self.share(crown, mi.Point3f(*map(aligned, place.reshape(-1, 3).T)), True))
-            found.append(share.reshape(-1, 2, _LEAVES).mean(axis=2))
-            first += len(crowns)
-        return np.concatenate(found).astype(np.float64)
+        base = ((crown * _LATTICE + low.x) * _LATTICE + low.y) * _LATTICE + low.z
+        edges = []
+        for step in (0, _LATTICE, _LATTICE**2, _LATTICE**2 + _LATTICE):
+            ends = (dr.gather(mi.Float, self._others, base + (step + k), active) for k in (0, 1))
+            edges.append(dr.lerp(*ends, part.z))
+        others = dr.lerp(dr.lerp(edges[0], edges[1], part.y), dr.lerp(edges[2], edges[3], part.y), part.x)
+        return others * dr.exp(-self._own_depth(frame, at))
 
     def phase(self, direction: Jit) -> Jit:
         """Return the excess of the sunlit leaves that rays of a direction meet, relative to their mean."""
@@ -142,22 +133,26 @@ class SunlitLeaves:
         angle = dr.safe_acos(cosine)
         return 8.0 / (3.0 * np.pi) * (dr.safe_sqrt(1.0 - cosine * cosine) + (0.5 * np.pi - angle) * cosine)
 
-    def added(self, chord: Chord, point: Jit, height: Jit, phase: Jit) -> list[Jit]:
+    def halves(self, chord: Chord) -> list[Jit]:
+        """Return what `added` needs of the crowns of chords."""
+        return self._halves.at(chord.crown, chord.new)
+
+    def added(self, chord: Chord, halves: list[Jit], at: Jit, height: Jit, phase: Jit) -> list[Jit]:
         """Return what the sunlit leaves at points of chords add to the mean of leaves at their height, [Float]."""
-        more, mean = self._more.at(chord.crown, chord.new), self._mean.at(chord.crown, chord.new)
-        excess = phase * self.share(chord.crown, point, chord.new) - (mean[0] + height * (mean[1] - mean[0]))
-        count = len(more) // 2
-        return [excess * (low + height * (high - low)) for low, high in zip(more[:count], more[count:], strict=True)]
+        low, high, *more = halves
+        excess = phase * self._share(chord.crown, chord.frame, at, chord.new) - (low + height * (high - low))
+        return [excess * (a + height * (b - a)) for a, b in zip(more[::2], more[1::2], strict=True)]
 
 
 def sunlit_leaves(scene: Scene, plan: Plan, geometry: Geometry) -> SunlitLeaves | None:
     """Return the SunlitLeaves of a scene; None where no crown has leaves that the sun warms."""
-    if geometry.crowns is None or scene.sun is None or scene.sun.elevation_deg <= 0.0:
+    if geometry.crowns is None or scene.spec.weather is None or scene.time is None:
         return None
+    azimuth, elevation = scene.weather.sun(scene.time)
     spread = [scene.surfaces[number].scatter_k for number in geometry.crowns.numbers]
-    if not any(each is not None and each.any() for each in spread):
+    if elevation <= 0.0 or not any(each is not None and each.any() for each in spread):
         return None
-    return SunlitLeaves(scene, plan, geometry)
+    return SunlitLeaves(scene, plan, geometry, sun.direction(float(elevation), float(azimuth)))
 
 
 def along(geometry: Geometry, outgoing: "OutgoingRadiance", ray: Jit, until: Jit) -> Along:
@@ -166,40 +161,43 @@ def along(geometry: Geometry, outgoing: "OutgoingRadiance", ray: Jit, until: Jit
     assert field is not None
     phase = leaves.phase(ray.d) if leaves else None
     up = 0.5 - 0.5 * ray.d.z
-    origin, direction = mi.Point3f(ray.o), mi.Vector3f(ray.d)
+    tables = _tables(geometry, field, outgoing)
 
     def visit(chord: Chord, state: tuple[Jit, ...]) -> tuple[Jit, tuple[Jit, ...]]:
-        passed, distance, half, *total = state
+        passed, distance, *total = state
         lost = dr.select(chord.new, 1.0 - dr.exp(-chord.depth), 0.0)
-        texel, face = (
-            dr.gather(mi.UInt32, table, chord.crown, chord.new) for table in (field.first_texel, field.first_face)
-        )
-        sides = [outgoing.at_texel(texel + k, face + k, chord.new) for k in range(PATCHES)]
-        low, high = (
-            [dr.lerp(a, b, up) for a, b in zip(*sides[k : k + 2], strict=True)] for k in (0, 2)
-        )
-        box = dr.gather(mi.Float, field.shapes, chord.crown, chord.new)
-        per_height = 0.5 / dr.lerp(*_MEAN_HEIGHT, box)
+        sides = [dr.gather(mi.Vector4f, table, chord.crown, chord.new) for table in tables]
+        ends = [(dr.lerp(each.x, each.y, up), dr.lerp(each.z, each.w, up)) for each in sides]
+        halves = leaves.halves(chord) if leaves else []
+        per_height = dr.select(chord.frame.box, *(0.5 / each for each in reversed(_MEAN_HEIGHT)))
         weight = 0.5 * passed * lost
         for place in _PLACES:
             depth = -dr.log(dr.maximum(1.0 - place * lost, 1e-7))
-            length = chord.start + depth / dr.maximum(chord.extinction, 1e-30)
-            point = origin + dr.select(chord.new, length, 0.0) * direction
-            at, _ = field.local(chord.crown, point, direction, chord.new)
+            length = dr.select(chord.new, chord.start + depth / chord.frame.extinction, 0.0)
+            at = chord.at + length * chord.way
             height = 0.5 + per_height * at.z
-            values = [a + height * (b - a) for a, b in zip(low, high, strict=True)]
+            values = [a + height * (b - a) for a, b in ends]
             if leaves:
-                values = [a + b for a, b in zip(values, leaves.added(chord, point, height, phase), strict=True)]
+                more = leaves.added(chord, halves, at, height, phase)
+                values = [a + b for a, b in zip(values, more, strict=True)]
             total = [t + dr.select(chord.new, weight * value, 0.0) for t, value in zip(total, values, strict=True)]
-            distance = distance + dr.select(chord.new, weight * length, 0.0)
+            distance = distance + weight * length
         left = passed * (1.0 - lost)
-        half = dr.select((passed >= 0.5) & (left < 0.5), chord.crown, half)
-        return left > _NO_LEAVES, (left, distance, half, *total)
+        return left > _NO_LEAVES, (left, distance, *total)
 
-    width, count = dr.width(direction), outgoing.channels
-    zero = [dr.zeros(mi.Float, width) for _ in range(1 + count)]
-    begin = (dr.full(mi.Float, 1.0, width), zero[0], dr.zeros(mi.UInt32, width), *zero[1:])
-    passed, distance, crown, *channels = field.walk(ray, until, True, begin, visit)
+    width = dr.width(ray.d)
+    begin = (dr.full(mi.Float, 1.0, width), *(dr.zeros(mi.Float, width) for _ in range(1 + outgoing.channels)))
+    passed, distance, *channels = field.walk(ray, until, True, begin, visit, coherent=True)
     share = dr.maximum(1.0 - passed, 1e-12)
-    return Along(passed, distance / share, [each / share for each in channels], crown)
+    return Along(passed, distance / share, [each / share for each in channels])
 
+
+def _tables(geometry: Geometry, field: CrownField, outgoing: "OutgoingRadiance") -> list[Jit]:
+    """Radiance of the patches of all crowns in each channel, [Float (PATCHES n,)]."""
+    mi = geometry.mi
+    index = dr.arange(mi.UInt32, PATCHES * field.count)
+    crown, patch = index // PATCHES, index % PATCHES
+    texel, face = (dr.gather(mi.UInt32, table, crown) + patch for table in (field.first_texel, field.first_face))
+    tables = outgoing.at_texel(texel, face, True)
+    dr.eval(tables)
+    return tables

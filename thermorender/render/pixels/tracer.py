@@ -42,6 +42,8 @@ from thermorender.scene.instances import Instances
 _ISLAND = 1.5
 # Factor of a hash of the numbers of faces (Knuth's).
 _HASH = 2654435761
+# Share of leaves in front of a surface from which it counts as another one.
+_SOME_LEAVES = 0.02
 # Inverse depth of the sky in a mirror [1/m]: above 0, which means that nothing is hit.
 _ENDLESS = 1e-37
 
@@ -91,12 +93,12 @@ class Tracer:
     ) -> None:  # fmt: skip
         self._slender = slender
         self._crowns = layers[0].geometry.crowns
-        # The hits of rays that pass crowns are not those of the truth.
-        alone = pose is not None and len(layers) == 1 and self._crowns is None
-        self._place = (layers[0].geometry, pose.tobytes()) if alone and pose is not None else None
+        self._place = None if pose is None or len(layers) > 1 else (layers[0].geometry, pose.tobytes())
         self._layers, self.rays, self._medium = layers, rays, medium
         copies = [isinstance(each.instances, Instances) for layer in layers for each in layer.geometry.surfaces]
         self._copies = layers[0].geometry.mi.Float(aligned(copies)) if any(copies) else None
+        # Copies and crowns have soft edges, for which few rays suffice.
+        self._soft = self._copies is not None or self._crowns is not None
         sampling, self._mi = plan.sampling, layers[0].geometry.mi
         self._samples = sampling.samples
         # Read here, since reading waits for all kernels that run.
@@ -122,8 +124,8 @@ class Tracer:
         inside = ..., slice(RING, -RING), slice(RING, -RING)
         image, guide = ringed[inside][:channels].copy(), ringed[channels:]
         met = guide[inside][0] > 0.0
-        if self._samples == 1:
-            # Not what depends on the radiance.
+        if self._samples == 1 and self._crowns is None:
+            # Not what depends on the radiance. The hits of rays that pass crowns are not those of the truth.
             self.rays.last_hits = met, Hit(hit.valid, hit.distance, hit.face, hit.surface), self._place
         flat = image.reshape(channels, -1)
         crossed = crossed[~met.flat[crossed]]
@@ -132,7 +134,7 @@ class Tracer:
         if thin is None:
             return image, SampledImage(met, None)
         copies = np.zeros(met.size, dtype=bool)
-        if self._copies is not None:
+        if self._soft:
             guide, copies = guide[:-1], touched(guide[-1] > 0.0).ravel()
         step = edge_step(ringed[:channels].sum(axis=0), *guide)
         refined = self._refine_edges(flat, step, copies, thin, (edge_limit, max(edge_limit, copies_limit)), like)
@@ -173,9 +175,11 @@ class Tracer:
         if several and search:
             # Faces in strong light count as surfaces of their own: smaller than a pixel, they differ without an edge.
             number = dr.select(hit.strong, (hit.face * _HASH >> 27) + 1, 0)
-            guides.append(mi.Float(hit.surface) + mi.Float(number) / 64.0)
-        if self._copies is not None and search:
-            guides.append(dr.gather(mi.Float, self._copies, hit.surface, hit.valid))
+            leaves = dr.select(hit.leaves > _SOME_LEAVES, 0.5, 0.0)
+            guides.append(mi.Float(hit.surface) + mi.Float(number) / 64.0 + leaves)
+        if self._soft and search:
+            copies = dr.gather(mi.Float, self._copies, hit.surface, hit.valid) if self._copies is not None else 0.0
+            guides.append(dr.select(hit.leaves > _SOME_LEAVES, 1.0, copies))
         return guides
 
     def _refine_edges(
@@ -185,7 +189,7 @@ class Tracer:
         """Refine pixels of an image (channels, H W) that show an edge, those without `copies` (H W) before those with.
         Each group has its own error in `limits`. `step` is from `edge_step`; pixels of `thin` are left out."""
         refined: list[Refined] = []
-        for number, limit in enumerate(limits if self._copies is not None else limits[:1]):
+        for number, limit in enumerate(limits if self._soft else limits[:1]):
             on = (typical_edge_estimate(step, self._samples).ravel() > limit) & (copies == bool(number))
             on[thin.pixels] = False
             stages = None
@@ -314,19 +318,13 @@ class Tracer:
 
     def _behind_leaves(self, ray: Jit, hit: Hit, values: list[Jit]) -> tuple[Hit, list[Jit]]:
         """(hits, radiance) of rays with the leaves in front of what they hit, from those without."""
-        layer, crowns, mi = self._layers[0], self._crowns, self._mi
-        assert crowns is not None
+        layer = self._layers[0]
         leaves = along(layer.geometry, layer.outgoing, ray, dr.select(hit.valid, hit.distance, np.inf))
         some = leaves.passed < 1.0
-        surface, face = (dr.gather(mi.UInt32, each, leaves.crown, some) for each in (crowns.surface, crowns.first_face))
-        near = Hit(some, dr.select(some, leaves.distance, 1.0), face, surface)
+        near = Hit(some, dr.select(some, leaves.distance, 1.0), hit.face, hit.surface)
         shown = self._medium.at_camera(near, leaves.channels, ray.o, ray.d)
         values = [dr.select(some, dr.lerp(b, a, leaves.passed), a) for a, b in zip(values, shown, strict=True)]
-        most = leaves.passed < 0.5
-        chosen = ((getattr(near, name), getattr(hit, name)) for name in ("valid", "distance", "face", "surface"))
-        found = Hit(*(dr.select(most, a, b) for a, b in chosen))
-        mirrored = dr.select(most, 0.0, hit.mirrored)
-        return replace(found, mirrored=mirrored, strong=mi.Bool(hit.strong) & ~most), values
+        return replace(hit, leaves=1.0 - leaves.passed), values
 
     def _read(self, cell: Footprint, reading: Reading, at: LayerHit) -> list[Jit]:
         """[whether the light on the face is strong, texel and row as of `mirrors.met`, mean channels over the cell]."""

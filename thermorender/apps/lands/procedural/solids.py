@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from thermorender.apps.lands.procedural import house_shapes
 from thermorender.apps.lands.procedural.light import linear
 from thermorender.apps.lands.procedural.noise import Values
-from thermorender.apps.lands.solids.plants import DENSITY, DENSITY_CONIFER, DENSITY_HEDGE, Plants, edge_of
+from thermorender.apps.lands.solids.plants import DENSITY, DENSITY_CONIFER, DENSITY_HEDGE, Plants
 from thermorender.apps.lands.solids.quads import Quads
-from thermorender.errors import ThermorenderError
 
 if TYPE_CHECKING:
     from thermorender.apps.lands.procedural.buildings import Window
@@ -24,10 +23,6 @@ if TYPE_CHECKING:
 _FIELDS = ("top", "albedo", "material", "wetness")
 # Side of a texel of walls and roofs [m].
 _TEXEL_M = 0.15
-# Edge of the leaf clusters of hedges [m].
-_HEDGE_EDGE_M = 0.3
-# Faces of plants that fit into an ordinary machine's memory while their light is solved.
-_MOST_FACES = 3_000_000
 # Lower than this, a plant is a shrub, whose leaves reach the ground [m].
 _SHRUB_M = 3.0
 _BARK = (104, 88, 72)
@@ -41,7 +36,7 @@ class Solids:
         self.quads, self.plants = Quads(_TEXEL_M), Plants()
         self.covered = np.zeros(canvas.shape, bool)  # Texels under a solid
         self._kept = {name: np.zeros_like(getattr(canvas, name)) for name in _FIELDS}
-        self._draw, self._leaf = canvas.stream("solids"), canvas.stream("leaves")
+        self._draw = canvas.stream("solids")
 
     def hide(self, part: tuple[slice, slice], mask: NDArray[np.bool_]) -> None:
         """Keep what the canvas shows where a solid will cover `mask` of the window `part`."""
@@ -113,7 +108,7 @@ class Solids:
         east, north = np.broadcast_arrays(c.east[:, window.columns], c.north[window.rows])
         low = window.view(c.ground)[mask] - 0.05
         column = np.column_stack([east[mask], north[mask], low, low + 0.05 + height_m]).astype(np.float64)
-        self.plants.fill(self._leaf, column, c.texel, _HEDGE_EDGE_M, DENSITY_HEDGE, colour, c.value("broadleaf"))
+        self.plants.hedge(column, c.texel, DENSITY_HEDGE, colour, "broadleaf")
 
     def tree(
         self, crown: Values, tone: Values, east: float, north: float, height_m: float, colour: Values, material: int,
@@ -136,14 +131,9 @@ class Solids:
         ground = c.height_at(east, north)
         columns = np.column_stack([east + x, north + y, ground + np.minimum(low, top), ground + top])
         shade = tone[row, column][:, None] * np.asarray(colour, np.float64)
-        density = DENSITY_CONIFER if conifer else DENSITY
-        self.plants.fill(self._leaf, columns, c.texel, edge_of(radius), density, shade, material)
+        add = self.plants.conifer if conifer else self.plants.crown
+        add(columns, c.texel, DENSITY_CONIFER if conifer else DENSITY, shade, c.names[material])
         if not shrub:
             high = ground + (0.75 if conifer else 0.55) * height_m
             bark = linear(*_BARK) * np.exp(self._draw.normal(0.0, 0.15))
             self.plants.trunk(east, north, ground - 0.3, high, 0.05 + 0.016 * height_m, bark, c.value("bark"))
-        if self.plants.faces > _MOST_FACES:
-            raise ThermorenderError(
-                f"the plants of this scene have more than {_MOST_FACES} faces in three dimensions; give a smaller "
-                "size_m, or leave three_d out"
-            )

@@ -17,7 +17,7 @@ from thermorender.apps.lands.procedural.noise import stream
 from thermorender.apps.lands.procedural.procedural_scene import SyntheticScene, painted, posts, scene_of
 from thermorender.apps.lands.procedural.scene_files import flight_csv, scene_toml, write_declared, write_temperature
 from thermorender.apps.lands.procedural.truth import drawn
-from thermorender.apps.lands.solids.plants import write_leaf_tables
+from thermorender.apps.lands.solids.plants import Bodies, write_bodies, write_leaf_tables
 from thermorender.apps.lands.solids.textured_mesh import MESH, TexturedMesh, write_kelvin, write_meshes
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic_folder
@@ -30,6 +30,7 @@ from thermorender.render.from_above import from_above
 from thermorender.render.geometry import Geometry
 from thermorender.render.heat.simulation import solved
 from thermorender.render.variant import activate
+from thermorender.scene.crowns import PATCHES, Crowns
 from thermorender.scene.deviations import Deviations
 from thermorender.scene.ground import Ground
 from thermorender.scene.raster import Grid, lon_lat
@@ -41,7 +42,7 @@ from thermorender.units import ZERO_CELSIUS_K
 SURVEY = "survey"
 # Positions in a texel at which the survey looks, in texels from its middle; the first gives the material.
 _LOOKS = ((0.0, 0.0), (-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))
-GROUND, BUILDINGS, PLANTS = "ground", "buildings", "plants"
+GROUND, BUILDINGS, TRUNKS = "ground", "buildings", "trunks"
 # Distance of the ground's posts [m]: walls and crowns are not in it, so that it is smooth.
 _POST_M = 1.0
 
@@ -53,6 +54,8 @@ class World:
     scene: SyntheticScene  # Of the bare ground: its elevation, classes, deviations and weather
     meshes: tuple[TexturedMesh, ...]  # The ground first; coloured by albedo. Heights are above the ellipsoid.
     ground_normal: NDArray[np.float32]  # (3, N, N) float32 normals of the ground's texels with their small relief
+    # Crowns and hedges by shape and material; heights are above the ellipsoid
+    plants: dict[tuple[str, str], Bodies]
 
 
 def make_world(
@@ -72,9 +75,17 @@ def make_world(
     meshes = [_ground(made.canvas.surface, canvas.albedo, canvas.material, made.size)]
     if len(solids.quads):
         meshes.append(solids.quads.mesh(BUILDINGS))
-    if solids.plants.faces:
-        meshes.append(solids.plants.mesh(PLANTS))
-    return World(scene_of(made), (meshes[0], *(_within(mesh, 0.5 * made.size) for mesh in meshes[1:])), normal)
+    if solids.plants.trunks:
+        meshes.append(solids.plants.mesh(TRUNKS))
+    plants = {key: each for key, each in solids.plants.bodies.items() if _inside(each, 0.5 * made.size)}
+    return World(scene_of(made), (meshes[0], *(_within(mesh, 0.5 * made.size) for mesh in meshes[1:])), normal, plants)
+
+
+def _inside(bodies: Bodies, half: float) -> bool:
+    """Leave out bodies beyond the ground's edge; return whether any is left."""
+    rows = np.concatenate(bodies.rows)
+    bodies.rows = [rows[(np.abs(rows[:, :2]) <= half).all(axis=1)]]
+    return bool(len(bodies.rows[0]))
 
 
 def _within(mesh: TexturedMesh, half: float) -> TexturedMesh:
@@ -113,20 +124,29 @@ def write(world: World, directory: str | Path, overwrite: bool = False, progress
     flight = {("up_m" if key == "above_ground_m" else key): value for key, value in flight.items()} | {"up_m": up}
     with atomic_folder(directory, overwrite) as draft:
         write_leaf_tables(draft)
+        bare = scene
+        scene = replace(bare, objects=(*bare.objects, *write_bodies(draft, world.plants, frame.height_m)))
         tables = _declare(draft, scene, frame, meshes, known=False)
         loaded = load_scene(draft)
         geometry = Geometry(activate(), loaded.surfaces)
-        # Objects are those of the survey too: neither they nor their shadows are in its rasters.
-        terrain = Geometry(activate(), loaded.surfaces[: loaded.terrain_count])
+        # Other objects are those of the survey too: neither they nor their shadows are in its rasters.
+        shown = [*loaded.surfaces[: loaded.terrain_count], *(s for s in loaded.surfaces if isinstance(s.instances, Crowns))]
+        terrain = Geometry(activate(), shown)
         meshes = _lit(loaded, terrain, meshes, world)
-        kelvin = _true_kelvin(loaded, geometry, scene, progress)
+        kelvin, leaves = _true_kelvin(loaded, geometry, scene, progress)
         for table, mesh in zip(tables, meshes, strict=True):
             table["temperature"] = f"{mesh.name}_kelvin.tif"
             write_kelvin(draft / table["temperature"], kelvin[mesh.name])
+        for bodies in world.plants.values():
+            bodies.kelvin = leaves[bodies.name]
+        scene = replace(bare, objects=(*bare.objects, *write_bodies(draft, world.plants, frame.height_m)))
         _declare(draft, scene, frame, meshes, known=True)
         write_text(draft / "flight.csv", flight_csv(flight))
         colour = _by_surface(loaded, {mesh.name: mesh.colour.reshape(-1, 3) for mesh in meshes})
         warm = _by_surface(loaded, {name: values.ravel() for name, values in kelvin.items()})
+        crowns = shown[loaded.terrain_count :]
+        colour = np.concatenate([colour, *(each.colour.reshape(-1, 3) for each in crowns)])
+        warm = np.concatenate([warm, *(_texels(leaves[each.name.split(":")[0]], each) for each in crowns)])
         (draft / SURVEY).mkdir()
         write_survey(world.scene, frame, terrain, draft / SURVEY, loaded, colour, warm)
         write_text(draft / SURVEY / "flight.csv", flight_csv(flight))
@@ -216,19 +236,34 @@ def _lit(loaded: Scene, geometry: Geometry, meshes: list[TexturedMesh], world: W
 
 def _true_kelvin(
     loaded: Scene, geometry: Geometry, scene: SyntheticScene, progress: Progress | None
-) -> dict[str, NDArray[np.float32]]:
-    """{mesh: (h, w) [K]}: the true temperatures, from drawn properties as in 2.5-D."""
+) -> tuple[dict[str, NDArray[np.float32]], dict[str, NDArray[np.float64]]]:
+    """({mesh: (h, w) [K]}, {object of crowns: (n, 4) columns of KELVIN}): the true temperatures, from drawn properties
+    as in 2.5-D."""
     assert loaded.time is not None
     true, exchange = drawn(loaded, scene.kind, scene.seed)
     sizes = {_name(surface): surface.material.size for surface in loaded.surfaces[: loaded.terrain_count]}
     fields = {}
     for name, values in vars(scene.deviations).items():
         own = {mesh: np.ones(size, np.float32) for mesh, size in sizes.items()} | {"ground": np.ravel(values)}
-        fields[name] = _by_surface(loaded, own)
+        others = [np.ones(each.material.size, np.float32) for each in loaded.surfaces[loaded.terrain_count : loaded.solved_count]]
+        fields[name] = np.concatenate([_by_surface(loaded, own), *others])
     fields["exchange"] = np.float32(exchange) * fields["exchange"]
     found = solved(true, [loaded.time], geometry, progress, Deviations(**fields))[0]
     kelvin = np.concatenate([surface.temperature.ravel() for surface in found.surfaces[: found.terrain_count]])
-    return _split(loaded, kelvin)
+    leaves = {}
+    for surface in found.surfaces:
+        if isinstance(surface.instances, Crowns):
+            assert surface.scatter_k is not None
+            count = PATCHES * len(surface.instances)
+            mean, more = (each.reshape(-1)[:count].reshape(-1, 2, 2).mean(axis=2)
+                          for each in (surface.temperature, surface.scatter_k))  # fmt: skip
+            leaves[surface.name.split(":")[0]] = np.column_stack([mean, mean + more]).astype(np.float64)
+    return _split(loaded, kelvin), leaves
+
+
+def _texels(kelvin: NDArray[np.float64], crowns: Surface) -> NDArray[np.float64]:
+    """Mean temperatures of leaves, (n, 4) columns of KELVIN, on the texels of crowns."""
+    return np.resize(np.repeat(kelvin[:, :2], 2, axis=1).reshape(-1), crowns.material.size)
 
 
 def write_survey(
@@ -244,7 +279,7 @@ def write_survey(
     for number, name in scene.class_names.items():
         if name in numbers:
             value[numbers[name]] = number
-    material = np.concatenate([surface.material.ravel() for surface in loaded.surfaces[: loaded.terrain_count]])
+    material = np.concatenate([surface.material.ravel() for surface in geometry.surfaces])
     height = shot = warm = 0.0  # type: Any
     for number, (across, down) in enumerate(_LOOKS):
         column, row = np.meshgrid(*(np.arange(grid.width) + 0.5 + shift for shift in (across, down)))

@@ -1,12 +1,11 @@
-"""Porous crowns: clusters of leaves in the volume of a crown, through which ground and sky show.
+"""Plants: crowns and hedges as tables of turbid ellipsoids and boxes, and trunks as a mesh.
 
-A cluster is a small flat tetrahedron, turned at random. Its mean silhouette over all directions is a quarter of its
-surface (Cauchy's theorem for convex bodies), so that clusters of density D [m² of one side per m³] at random places let
-the share exp(−D s / 2) of the rays of a path s [m] through: Beer's law with G = 1/2, the leaf projection function of
-Ross (1981) for leaves of all orientations.
+What is known of a plant is columns of leaves, from a lower to an upper end, on a grid. Each plant becomes a few bodies
+that fill these columns: lobes of a round crown, stages of a conifer, lengths of a hedge. The leaf area of the columns is
+kept.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,60 +17,31 @@ from thermorender.formats import write_text
 from thermorender.materials.library import load_library
 from thermorender.materials.thermal import table_text
 from thermorender.physics.srgb import bytes_from_linear
+from thermorender.scene.crowns import DENSITIES, KELVIN
 from thermorender.scene.meshes.mesh import one_texel_each
+
+Floats = NDArray[np.float64]
 
 # One side of leaves per volume of a crown [m²/m³], chosen: street and garden trees have 0.5 to 2, narrow conifers and
 # clipped hedges more.
 DENSITY, DENSITY_CONIFER, DENSITY_HEDGE = 1.2, 2.5, 4.0
+# Plan area of a lobe [m²], most lobes of a crown, and how much wider than its columns a lobe is.
+_LOBE_M2, _LOBES, _WIDER = 5.0, 7, 1.12
+# Stages of a conifer, and longest part of a hedge [m].
+_STAGES, _HEDGE_M = 4, 3.0
+# Thinner bodies are widened to this [m].
+_LEAST_M = 0.1
 # Radius of a trunk at its upper end as a share of that at the foot.
 _TAPER = 0.35
 # Length of the parts of a trunk, which have a temperature and light each [m].
-_LENGTH_M = 0.7
+_LENGTH_M = 2.5
 # Materials of leaves, and why their tables differ from those of a closed canopy.
 LEAVES = ("broadleaf", "conifer")
 _CHOSEN = "chosen: leaves of a crown hang in the air"
-# Edge of a cluster [m]: this share of the radius of a crown, within limits.
-_EDGE_SHARE, _EDGES = 0.2, (0.28, 0.9)
-# Height of a cluster's tetrahedron as a share of a regular one's.
-_FLAT = 0.1
-_CORNERS = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]]) / np.sqrt(8.0)
-# Counter-clockwise from outside.
-_FACES = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
-
-
-def gap(depth_m: Any, density: float = DENSITY) -> Any:
-    """Return the share of rays that a path of `depth_m` [m] through a crown lets through, by Beer's law."""
-    return np.exp(-0.5 * density * np.asarray(depth_m))
-
-
-def edge_of(radius_m: float) -> float:
-    """Return the edge of a cluster in a crown of a radius [m]."""
-    return float(np.clip(_EDGE_SHARE * radius_m, *_EDGES))
-
-
-def leaves(
-    generator: np.random.Generator, middle: NDArray[np.float64], edge_m: float
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return (vertices (4 K, 3), faces (4 K, 3)) of clusters around their middles (K, 3) [m]."""
-    axes, _ = np.linalg.qr(generator.standard_normal((len(middle), 3, 3)))
-    # A rotation, so that outside stays outside.
-    axes[np.linalg.det(axes) < 0.0, 0] *= -1.0
-    corner = middle[:, None] + edge_m * _flat() @ axes
-    faces = _FACES + 4 * np.arange(len(middle))[:, None, None]
-    return corner.reshape(-1, 3), faces.reshape(-1, 3)
-
-
-def _flat() -> NDArray[np.float64]:
-    """A tetrahedron of edge 1, flattened along the axis through its first corner."""
-    axis = _CORNERS[0] / np.linalg.norm(_CORNERS[0])
-    flat: NDArray[np.float64] = _CORNERS - (1.0 - _FLAT) * np.outer(_CORNERS @ axis, axis)
-    return flat
-
-
-def surface_m2(edge_m: float) -> float:
-    """Return the surface of a cluster [m²]: twice one side of the leaves that it stands for."""
-    corner = (edge_m * _flat())[_FACES]
-    return float(0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1).sum())
+_FOLDER = "plants"
+_COLUMNS = (
+    "east_m", "north_m", "up_m", "width_m", "length_m", "height_m", "yaw_deg", "leaf_area_1_m", "red", "green", "blue"
+)  # fmt: skip
 
 
 def write_leaf_tables(folder: Path) -> None:
@@ -87,33 +57,87 @@ def write_leaf_tables(folder: Path) -> None:
         write_text(folder / "materials" / "thermal" / f"{name}.csv", table_text(hanging))
 
 
+@dataclass
+class Bodies:
+    """Turbid bodies of a shape and material."""
+
+    shape: str  # Of an object in a scene file
+    material: str
+    rows: list[Floats] = field(default_factory=list)  # (n, len(_COLUMNS)) each
+    kelvin: NDArray[Any] | None = None  # (n, 4) columns of KELVIN
+
+    @property
+    def name(self) -> str:
+        """The object's name."""
+        return f"{self.material}_{'hedges' if self.shape == 'box' else 'crowns'}"
+
+
 class Plants:
-    """Crowns, hedges and trunks under construction: faces with a texel each."""
+    """Crowns, hedges and trunks under construction. Positions are in metres, in one frame for all."""
 
     def __init__(self) -> None:
-        self._parts: list[tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float32], NDArray[np.uint8]]] = []
-        self.faces = 0
+        self.bodies: dict[tuple[str, str], Bodies] = {}
+        self._parts: list[tuple[Floats, NDArray[np.int64], NDArray[np.float32], NDArray[np.uint8]]] = []
+        self.trunks = 0  # Faces of trunks
 
-    def fill(
-        self, generator: np.random.Generator, column: NDArray[np.float64], cell_m: float, edge_m: float,
-        density: float, colour: NDArray[np.floating], material: int,
-    ) -> None:  # fmt: skip
-        """Fill columns (C, 4), east, north, lower and upper end [m], with clusters of leaves of linear colours (C, 3).
-        `density` is one side of leaves per volume [m²/m³].
-        """
-        depth = np.maximum(column[:, 3] - column[:, 2], 0.0)
-        volume = float(depth.sum()) * cell_m**2
-        count = round(2.0 * density * volume / surface_m2(edge_m))
-        if not count:
+    def __len__(self) -> int:
+        return sum(len(rows) for bodies in self.bodies.values() for rows in bodies.rows)
+
+    def crown(
+        self, column: Floats, cell_m: float, density: float, colour: NDArray[np.floating], material: str
+    ) -> None:
+        """Add a round crown of columns (C, 4), east, north, lower and upper end [m], with linear colours (C, 3)."""
+        column, colour = _filled(column, colour)
+        if not len(column):
             return
-        chosen = generator.choice(len(column), count, p=depth / depth.sum())
-        middle = np.column_stack([
-            column[chosen, :2] + generator.uniform(-0.5 * cell_m, 0.5 * cell_m, (count, 2)),
-            column[chosen, 2] + depth[chosen] * generator.uniform(size=count),
-        ])  # fmt: skip
-        vertices, faces = leaves(generator, middle, edge_m)
-        tone = colour[chosen] * np.exp(0.12 * generator.standard_normal((count, 1)))
-        self._add(vertices, faces, np.repeat(tone, len(_FACES), axis=0), material)
+        count = int(np.clip(round(len(column) * cell_m**2 / _LOBE_M2), 1, _LOBES))
+        own = _nearest(column[:, :2], _seeds(column[:, :2], count))
+        parts = [(column[own == k], colour[own == k]) for k in range(count)]
+        made = [_body(part, each, cell_m, _WIDER, 4.0 / 3.0 * np.pi / 8.0) for part, each in parts if len(part)]
+        self._add("sphere", material, made, column, cell_m, density)
+
+    def conifer(
+        self, column: Floats, cell_m: float, density: float, colour: NDArray[np.floating], material: str
+    ) -> None:
+        """Add a crown that narrows upwards, with arguments as of `crown`."""
+        column, colour = _filled(column, colour)
+        if not len(column):
+            return
+        low, high = float(column[:, 2].min()), float(column[:, 3].max())
+        made, edge = [], low + (high - low) * np.arange(_STAGES) / _STAGES
+        for stage, begin in enumerate(edge):
+            end = high if stage == _STAGES - 1 else begin + 1.6 * (high - low) / _STAGES
+            on = column[:, 3] > begin + 0.25 * (end - begin)
+            if on.any():
+                part = column[on].copy()
+                part[:, 2], part[:, 3] = begin, end
+                made.append(_body(part, colour[on], cell_m, 1.0, 4.0 / 3.0 * np.pi / 8.0))
+        self._add("sphere", material, made, column, cell_m, density)
+
+    def hedge(
+        self, column: Floats, cell_m: float, density: float, colour: NDArray[np.floating], material: str
+    ) -> None:
+        """Add a hedge of boxes, with arguments as of `crown`."""
+        column, colour = _filled(column, colour)
+        if not len(column):
+            return
+        along = _axes(column[:, :2])[0]
+        place = (column[:, :2] - column[:, :2].mean(axis=0)) @ along
+        count = max(1, int(np.ceil((np.ptp(place) + cell_m) / _HEDGE_M)))
+        own = np.minimum(((place - place.min()) / (np.ptp(place) + 1e-9) * count).astype(int), count - 1)
+        parts = [(column[own == k], colour[own == k]) for k in range(count)]
+        made = [_body(part, each, cell_m, 1.0, 1.0, along) for part, each in parts if len(part)]
+        self._add("box", material, made, column, cell_m, density)
+
+    def _add(
+        self, shape: str, material: str, made: list[tuple[Floats, float]], column: Floats, cell_m: float, density: float
+    ) -> None:
+        """Add bodies (row, volume) whose leaves are those of the columns."""
+        area = density * float((column[:, 3] - column[:, 2]).sum()) * cell_m**2
+        own = float(np.clip(area / sum(volume for _, volume in made), *DENSITIES))
+        rows = np.array([row for row, _ in made])
+        rows[:, _COLUMNS.index("leaf_area_1_m")] = own
+        self.bodies.setdefault((shape, material), Bodies(shape, material)).rows.append(rows)
 
     def trunk(self, east: float, north: float, low_m: float, high_m: float, radius_m: float,
               colour: NDArray[np.floating], material: int) -> None:  # fmt: skip
@@ -131,16 +155,12 @@ class Plants:
             np.stack([here, after, after + 6], axis=-1), np.stack([here, after + 6, here + 6], axis=-1)
         ])  # fmt: skip
         faces = (sides + 6 * np.arange(count)[:, None, None]).reshape(-1, 3)
-        self._add(vertices, faces, np.broadcast_to(colour, (len(faces), 3)), material)
-
-    def _add(self, vertices: NDArray[np.float64], faces: NDArray[np.int64], colour: NDArray[np.floating],
-             material: int) -> None:  # fmt: skip
-        number = np.full(len(faces), material, np.uint8)
-        self._parts.append((vertices, faces, np.asarray(colour, np.float32), number))
-        self.faces += len(faces)
+        tone = np.broadcast_to(colour, (len(faces), 3)).astype(np.float32)
+        self._parts.append((vertices, faces, tone, np.full(len(faces), material, np.uint8)))
+        self.trunks += len(faces)
 
     def mesh(self, name: str) -> TexturedMesh:
-        """Return all plants as one TexturedMesh."""
+        """Return all trunks as one TexturedMesh, with a texel for each face."""
         first = np.cumsum([0, *(len(part[0]) for part in self._parts)])
         faces = np.concatenate([part[1] + start for part, start in zip(self._parts, first, strict=False)])
         uv, (rows, columns) = one_texel_each(len(faces))
@@ -152,3 +172,78 @@ class Plants:
             name, np.concatenate([part[0] for part in self._parts]), faces, uv,
             bytes_from_linear(colour).reshape(rows, columns, 3), classes.reshape(rows, columns),
         )  # fmt: skip
+
+
+def write_bodies(folder: Path, every: "dict[tuple[str, str], Bodies]", down_m: float = 0.0) -> list[dict[str, Any]]:
+    """Write tables of bodies into a scene's folder; return the [[object]] tables of scene.toml. `down_m` is taken from
+    their heights; without temperatures of their own, the heat balance solves them."""
+    (folder / _FOLDER).mkdir(exist_ok=True)
+    tables = []
+    for bodies in every.values():
+        rows = np.concatenate(bodies.rows)
+        rows = rows - down_m * (np.array(_COLUMNS) == "up_m")
+        file, warm = f"{_FOLDER}/{bodies.name}.csv", "balance"
+        write_text(folder / file, _csv(_COLUMNS, rows, "%.2f,%.2f,%.2f,%.2f,%.2f,%.2f,%.0f,%.3f,%.0f,%.0f,%.0f"))
+        if bodies.kelvin is not None:
+            warm = f"{_FOLDER}/{bodies.name}_kelvin.csv"
+            write_text(folder / warm, _csv(KELVIN, bodies.kelvin, "%.2f,%.2f,%.2f,%.2f"))
+        tables.append({
+            "name": bodies.name, "shape": bodies.shape, "instances": file, "position": [0.0, 0.0, 0.0],
+            "leaf_area_1_m": DENSITY, "temperature": warm, "material": bodies.material,
+        })  # fmt: skip
+    return tables
+
+
+def _csv(names: tuple[str, ...], rows: NDArray[Any], form: str) -> str:
+    return ",".join(names) + "\n" + "".join(form % tuple(row) + "\n" for row in rows.tolist())
+
+
+def _filled(column: Floats, colour: NDArray[np.floating]) -> tuple[Floats, NDArray[np.floating]]:
+    """Columns with leaves, and their colours."""
+    some = column[:, 3] > column[:, 2]
+    return column[some].astype(np.float64), np.broadcast_to(colour, (len(column), 3))[some]
+
+
+def _seeds(place: Floats, count: int) -> Floats:
+    """Points far from each other among places (n, 2), moved to the middles of what is nearest to them."""
+    chosen = [int(((place - place.mean(axis=0)) ** 2).sum(axis=1).argmax())]
+    away = np.full(len(place), np.inf)
+    for _ in range(count - 1):
+        away = np.minimum(away, ((place - place[chosen[-1]]) ** 2).sum(axis=1))
+        chosen.append(int(away.argmax()))
+    seeds = place[chosen]
+    for _ in range(4):
+        own = _nearest(place, seeds)
+        seeds = np.array([place[own == k].mean(axis=0) if (own == k).any() else seeds[k] for k in range(count)])
+    return seeds
+
+
+def _nearest(place: Floats, seeds: Floats) -> NDArray[np.intp]:
+    found: NDArray[np.intp] = ((place[:, None] - seeds) ** 2).sum(axis=2).argmin(axis=1)
+    return found
+
+
+def _axes(place: Floats) -> Floats:
+    """Unit vectors along which places (n, 2) are widest and narrowest, as rows."""
+    off = place - place.mean(axis=0)
+    found: Floats = np.linalg.eigh(off.T @ off)[1].T[::-1]
+    return found
+
+
+def _body(
+    column: Floats, colour: NDArray[np.floating], cell_m: float, wider: float, full: float, along: Floats | None = None
+) -> tuple[Floats, float]:
+    """(row of a table without its density, volume [m³]) of the body around columns; `full` is its share of a box."""
+    axis = _axes(column[:, :2])[0] if along is None else along
+    across = np.array([axis[1], -axis[0]])
+    middle = column[:, :2].mean(axis=0)
+    length, width = (np.ptp((column[:, :2] - middle) @ way) + cell_m for way in (axis, across))
+    # The plan area is that of the columns: of an ellipse within its box, or of a box.
+    plan = len(column) * cell_m**2 / (np.pi / 4.0 if full < 1.0 else 1.0)
+    scale = wider * np.sqrt(plan / (length * width))
+    length, width = (max(scale * each, _LEAST_M) for each in (length, width))
+    low, high = float(column[:, 2].mean()), float(np.quantile(column[:, 3], 0.9))
+    height = max(high - low, _LEAST_M)
+    yaw = float(np.degrees(np.arctan2(axis[0], axis[1]))) % 360.0
+    rgb = bytes_from_linear(colour.mean(axis=0, keepdims=True).astype(np.float32))[0]
+    return np.array([*middle, low, width, length, height, yaw, 0.0, *rgb]), full * width * length * height
