@@ -18,8 +18,8 @@ from thermorender.render.dynamic import DynamicObject, ObjectState
 from thermorender.render.geometry import Geometry
 from thermorender.render.layers import Layer, OutgoingRadiance, TexelArrays
 from thermorender.render.object_numbers import objects_of_surfaces
-from thermorender.render.plan import Plan
 from thermorender.render.pixels.crown_light import sunlit_leaves
+from thermorender.render.plan import Plan
 from thermorender.render.reflection.device_tables import DeviceTables, DirectionalTexels
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.scene.instances import Instances

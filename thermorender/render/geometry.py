@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned
 from thermorender.render import turbid
+from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned
 from thermorender.render.pixels import pyramid, shapes, slender
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import Surface
@@ -167,8 +167,8 @@ class Geometry:
         return self._in_crowns(hit, flight, ray.d.z < 0.0)
 
     def seen_through(self, ray: Jit) -> Hit:
-        """Return the Hit of a view's rays (an mi.Ray3f) that pass all crowns. Embree returns distance 0 for a camera on a surface and for a
-        ray in the plane of a triangle; such rays are cast again, offset by `hair`."""
+        """Return the Hit of a view's rays (an mi.Ray3f) that pass all crowns. Embree returns distance 0 for a camera on
+        a surface and for a ray in the plane of a triangle; such rays are cast again, offset by `hair`."""
         hit = self.hit_of(self.caster.ray_intersect_preliminary(ray, coherent=True))
         touches = hit.valid & (hit.distance <= 0.0)
         # Opaque: a literal would compile the kernel again for each scene.

@@ -131,8 +131,8 @@ class CrownField:
         mi = self._mi
         middle, half = (dr.gather(mi.Vector4f, table, crown, active) for table in (self._middle, self._half))
         turn = dr.gather(mi.Vector2f, self._turn, crown, active)
-        three = (mi.Vector3f(each.x, each.y, each.z) for each in (middle, half))
-        return Frame(*three, turn, middle.w, half.w > 0.5)
+        place, scale = (mi.Vector3f(each.x, each.y, each.z) for each in (middle, half))
+        return Frame(place, scale, turn, middle.w, half.w > 0.5)
 
     def walk(
         self, ray: Jit, until: Jit, active: Jit, state: tuple[Jit, ...],
@@ -149,7 +149,8 @@ class CrownField:
 
         def step(going: Jit, at: Jit, after: Jit, *rest: Jit) -> tuple[Jit, ...]:
             seen, now = rest[:_REMEMBERED], rest[_REMEMBERED:]
-            found = self._hulls.ray_intersect_preliminary(mi.Ray3f(origin + at * direction, direction), coherent=coherent, active=going)
+            ray = mi.Ray3f(origin + at * direction, direction)
+            found = self._hulls.ray_intersect_preliminary(ray, coherent=coherent, active=going)
             hit = found.is_valid() & going
             crown = dr.gather(mi.UInt32, self._owner, found.prim_index, hit)
             new = mi.Bool(hit)
@@ -189,10 +190,9 @@ class CrownField:
         def visit(chord: Chord, state: tuple[Jit, ...]) -> tuple[Jit, tuple[Jit, ...]]:
             left, met, distance, crown = state
             here = chord.new & (chord.depth >= left)
-            return ~here, (
-                left - dr.select(here, 0.0, chord.depth), met | here,
-                dr.select(here, chord.start + left / chord.frame.extinction, distance), dr.select(here, chord.crown, crown),
-            )  # fmt: skip
+            place = dr.select(here, chord.start + left / chord.frame.extinction, distance)
+            left = left - dr.select(here, 0.0, chord.depth)
+            return ~here, (left, met | here, place, dr.select(here, chord.crown, crown))
 
         width = dr.width(ray.d)
         begin = mi.Float(depth), dr.zeros(mi.Bool, width), dr.full(mi.Float, np.inf, width), dr.zeros(mi.UInt32, width)

@@ -1,9 +1,9 @@
 """Crowns of leaves as turbid media: ellipsoids and boxes that light passes by Beer's law.
 
-Leaves of all orientations let the share exp(−G a s) of the light along a path of s [m] through, with a leaf area density
-of a [m²/m³, one side] and G = 1/2 (Ross 1981, doi:10.1007/978-94-009-8647-3). They are thin: both sides have the same
-temperature. The rest of the package sees each crown as a few patches, of one texel each: the lower and the upper half,
-and of each the sides of leaves that face down and up.
+Leaves of all orientations let the share exp(−G a s) of the light along a path of s [m] through, with a leaf area
+density of a [m²/m³, one side] and G = 1/2 (Ross 1981, doi:10.1007/978-94-009-8647-3). They are thin: both sides have
+the same temperature. The rest of the package sees each crown as a few patches, of one texel each: the lower and the
+upper half, and of each the sides of leaves that face down and up.
 """
 
 from collections.abc import Mapping
@@ -129,9 +129,8 @@ def placed(surface: Surface, place: Mapping[str, Floats], density_1_m: float) ->
     and "blue", and the columns of KELVIN, (n,) each.
     """
     extent, count = np.ptp(surface.vertices, axis=0), len(place["scale"])
-    size = np.stack([
-        place.get(name, np.full(count, each)) for name, each in zip(("width_m", "length_m", "height_m"), extent, strict=True)
-    ], axis=-1)  # fmt: skip
+    sides = zip(("width_m", "length_m", "height_m"), extent, strict=True)
+    size = np.stack([place.get(name, np.full(count, each)) for name, each in sides], axis=-1)
     half = 0.5 * place["scale"][:, None] * size
     middle = place["position"] + half * [0.0, 0.0, 1.0]
     density = place.get("leaf_area_1_m", np.full(count, density_1_m))

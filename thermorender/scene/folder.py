@@ -14,8 +14,8 @@ from thermorender.materials import library as material_tables
 from thermorender.materials.material import Material
 from thermorender.physics.geodesy import FARTHEST_M, LocalFrame
 from thermorender.scene import map_view, terrain
-from thermorender.scene.georeference import place_of
 from thermorender.scene.crowns import COLUMNS, read_kelvin
+from thermorender.scene.georeference import place_of
 from thermorender.scene.instances import read_places
 from thermorender.scene.map_view import MapView
 from thermorender.scene.meshes import mesh
@@ -247,7 +247,7 @@ def _object(item: ObjectSpec, folder: Path, where: str) -> TrackedObject:
     time_s, columns = read_track(item.track) if item.track else (np.zeros(1), {})
     places = read_places(item.instances, COLUMNS if item.leaf_area_1_m else {}) if item.instances else None
     if item.leaf_area_1_m and places is None:
-        places = {name: np.zeros(1) for name in ("east_m", "north_m", "above_ground_m", "yaw_deg")} | {"scale": np.ones(1)}
+        places = dict.fromkeys(("east_m", "north_m", "above_ground_m", "yaw_deg"), np.zeros(1)) | {"scale": np.ones(1)}
     if isinstance(item.temperature, Path):
         assert places is not None
         places |= read_kelvin(item.temperature, len(places["scale"]))

@@ -137,7 +137,7 @@ def _patches(corner: Floats, area: Floats) -> NDArray[np.uint8]:
 def alone(surface: Surface) -> Surface:
     """Return the body of a surface of copies, in its own frame, with a single texel."""
     body = surface.instances
-    assert body is not None
+    assert isinstance(body, Instances)
     one = {name: getattr(surface, name)[:1, :1] for name in ("colour", "material", "temperature", "flags")}
     uv = np.full((len(body.faces), 3, 2), 0.5, np.float32)
     return replace(surface, vertices=body.vertices, faces=body.faces, uv=uv, instances=None, scatter_k=None, **one)
@@ -148,6 +148,11 @@ def expanded(surface: Surface) -> Surface:
     body = surface.instances
     if body is None:
         return surface
+    if not isinstance(body, Instances):
+        raise ThermorenderError(
+            f"surface {surface.name!r} has crowns, through which light passes in part, and the reference engine traces "
+            "solid surfaces only; leave out its object, or give a mesh of leaves"
+        )
     if len(body) * len(body.faces) > MOST_EXPANDED:
         raise ThermorenderError(
             f"surface {surface.name!r} has {len(body)} copies of {len(body.faces)} triangles, more than "

@@ -356,14 +356,18 @@ def covered(
     return None if given or (plain and not follows) else (cover, materials)
 
 
-def object_heat(spec_objects: Sequence[ObjectSpec]) -> tuple[tuple["float | Path | None", float], ...]:
+# (Temperature [K], a table of them, None where the heat balance solves it; inner heat [W]) of each object.
+_Heat = tuple[tuple["float | Path | None", float], ...]
+
+
+def object_heat(spec_objects: Sequence[ObjectSpec]) -> _Heat:
     """Return (temperature [K], None where the heat balance solves it, and inner heat [W]) of each object."""
     return tuple((item.temperature, item.inner_heat_w) for item in spec_objects)
 
 
 def surfaces(
     shape: Shape, cover: Cover, materials: tuple[Material, ...], temperatures: Temperatures,
-    object_heat: tuple[tuple["float | Path | None", float], ...], in_memory: InMemory | None, where: str,
+    object_heat: _Heat, in_memory: InMemory | None, where: str,
 ) -> tuple[Surface, ...]:  # fmt: skip
     """Return the surfaces: the terrain's first, then those of objects without a track."""
     terrain = tuple(
@@ -379,7 +383,7 @@ def surfaces(
 
 
 def _objects(
-    shape: Shape, cover: Cover, materials: tuple[Material, ...], object_heat: tuple[tuple["float | Path | None", float], ...],
+    shape: Shape, cover: Cover, materials: tuple[Material, ...], object_heat: _Heat,
     where: str,
 ) -> Iterator[Surface]:  # fmt: skip
     """Yield the surfaces of objects without a track, NaN where the heat balance solves their temperature."""

@@ -39,7 +39,9 @@ class TemperatureInputs(NamedTuple):
     given_weather: "Weather | None"
     time: "np.datetime64 | None"
     altitude_m: float | None  # As stated, not from the frame
-    objects: tuple[tuple[float | None, float], ...]  # Temperatures [K] and inner heat [W] of those without a track
+    objects: tuple[
+        tuple["float | Path | None", float], ...
+    ]  # Temperatures [K] and inner heat [W] of those without a track
     sun: SunSpec | None  # The declared one, which contradicts the weather's and is refused
     sky: "Atmosphere | float | None"  # Which a conditional map's apparent temperatures depend on
 

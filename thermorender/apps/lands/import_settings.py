@@ -62,10 +62,6 @@ class ThreeD:
     building_class: Annotated[
         int | None, typer.Option(help="With --three-d: number of buildings, where --known is a raster of classes.")
     ] = None
-    copies: Annotated[
-        bool, typer.Option("--copies", help="With --three-d and --weather: trees are copies of at most 16 typical "
-                           "ones, for woods of thousands of trees.")
-    ] = False  # fmt: skip
 
     def walls(self) -> tuple[str, dict[str, str]]:
         """Return (material of walls that the outlines do not declare, {value of the tag `building`: material})."""

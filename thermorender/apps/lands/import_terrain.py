@@ -107,7 +107,7 @@ def import_terrain(
     flight_m, flight = _flight(bounds, texel_m)
     with atomic_folder(folder) as part:
         if solid is not None:
-            tables = write_solid(part, solid, tables)
+            tables = write_solid(part, solid, tables, GROUND_K if day is None else None)
             # Heights above the ground would follow each roof and crown.
             flight = flight.replace("above_ground_m", "up_m")
         else:
@@ -157,11 +157,6 @@ def _check(settings: ImportSettings, orthophoto: Path | None, three_d: ThreeD | 
         scene_kelvin("sky_temperature", settings.sky_temperature)
     if three_d and settings.fill:
         raise ThermorenderError("fill is for a raster of heights, and three_d makes a mesh; leave one of them out")
-    if three_d and three_d.copies and settings.weather is None:
-        raise ThermorenderError(
-            "copies of trees have the temperatures of a heat balance; give a weather and a time too, or leave copies "
-            "out"
-        )
     if settings.known is not None and orthophoto is None and not three_d:
         raise ThermorenderError(
             f"known={settings.known} restricts materials that are read from an orthophoto; give one too"
@@ -232,8 +227,8 @@ def _write_rasters(folder: Path, height: NDArray[Any], posts: Grid, picture: _Pi
 
 
 def _solid_counts(solid: CityModel) -> dict[str, Any]:
-    """Counts of what was found in the heights; `kinds` is that of typical trees, 0 where each has its own leaves."""
-    return {name: getattr(solid, name) for name in _FOUND} | {"kinds": len(solid.tree_types)}
+    """Counts of what was found in the heights."""
+    return {name: getattr(solid, name) for name in _FOUND}
 
 
 def _height_shares(height: NDArray[Any], fill: bool) -> dict[str, float]:

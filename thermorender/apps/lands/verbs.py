@@ -36,7 +36,7 @@ def import_terrain(
 
     if not three_d and solids != ThreeD():
         raise ThermorenderError(
-            "--ground, --wall, --building-class and --copies are for scenes in three dimensions; give --three-d too"
+            "--ground, --wall and --building-class are for scenes in three dimensions; give --three-d too"
         )
     summary = run(elevation, orthophoto, output, settings, solids if three_d else None)
     typer.echo(f"{output}: {summary['posts'][1]}×{summary['posts'][0]} posts of {summary['post_m']:.3g} m, "
@@ -65,7 +65,6 @@ def _solid_words(summary: dict[str, Any], wall: str) -> str:
     words = [f"{summary['buildings']} buildings with walls of {wall}"
              + (f" ({stated} as their outlines declare)" if stated else "")
              + f", {summary['trees']} trees"
-             + (f" as copies of {summary['kinds']} typical ones" if summary["kinds"] else "")
              + "; walls, trunks and leaves are inferred from heights"]  # fmt: skip
     if summary["flat_outlines"]:
         words.append(f"{summary['flat_outlines']} outlines left out, less than a third of each is high")

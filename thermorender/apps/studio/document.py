@@ -53,7 +53,9 @@ class Document:
         """Return the Document of a scene as its files describe it."""
         folder = scene.spec.folder / "materials"
         own = frozenset(read_library(folder)) if (folder / "index.csv").is_file() else frozenset[str]()
-        objects = {each.name: (each.material, each.temperature) for each in scene.spec.objects}
+        objects = {
+            each.name: (each.material, each.kelvin if np.isfinite(each.kelvin) else None) for each in scene.spec.objects
+        }
         library = load_library(folder if folder.is_dir() else None)
         return cls(library, own, dict(scene.spec.emissivity.classes), objects)
 

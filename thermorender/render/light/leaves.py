@@ -111,9 +111,7 @@ class Leaves:
         scale, shift = (dr.gather(mi.Vector3f, table, face) for table in (self._scale, self._shift))
 
         def turned(vector: Jit) -> Jit:
-            return mi.Vector3f(
-                turn.x * vector.x + turn.y * vector.y, turn.x * vector.y - turn.y * vector.x, vector.z
-            )
+            return mi.Vector3f(turn.x * vector.x + turn.y * vector.y, turn.x * vector.y - turn.y * vector.x, vector.z)
 
         return turned(scale * corner) + shift, turned(scale * edge_u), turned(scale * edge_v), turned(normal)
 

@@ -131,8 +131,7 @@ class Solids:
         ground = c.height_at(east, north)
         columns = np.column_stack([east + x, north + y, ground + np.minimum(low, top), ground + top])
         shade = tone[row, column][:, None] * np.asarray(colour, np.float64)
-        add = self.plants.conifer if conifer else self.plants.crown
-        add(columns, c.texel, DENSITY_CONIFER if conifer else DENSITY, shade, c.names[material])
+        self.plants.crown(columns, c.texel, DENSITY_CONIFER if conifer else DENSITY, shade, c.names[material])
         if not shrub:
             high = ground + (0.75 if conifer else 0.55) * height_m
             bark = linear(*_BARK) * np.exp(self._draw.normal(0.0, 0.15))

@@ -130,8 +130,8 @@ def write(world: World, directory: str | Path, overwrite: bool = False, progress
         loaded = load_scene(draft)
         geometry = Geometry(activate(), loaded.surfaces)
         # Other objects are those of the survey too: neither they nor their shadows are in its rasters.
-        shown = [*loaded.surfaces[: loaded.terrain_count], *(s for s in loaded.surfaces if isinstance(s.instances, Crowns))]
-        terrain = Geometry(activate(), shown)
+        crowns = [surface for surface in loaded.surfaces if isinstance(surface.instances, Crowns)]
+        terrain = Geometry(activate(), [*loaded.surfaces[: loaded.terrain_count], *crowns])
         meshes = _lit(loaded, terrain, meshes, world)
         kelvin, leaves = _true_kelvin(loaded, geometry, scene, progress)
         for table, mesh in zip(tables, meshes, strict=True):
@@ -144,7 +144,6 @@ def write(world: World, directory: str | Path, overwrite: bool = False, progress
         write_text(draft / "flight.csv", flight_csv(flight))
         colour = _by_surface(loaded, {mesh.name: mesh.colour.reshape(-1, 3) for mesh in meshes})
         warm = _by_surface(loaded, {name: values.ravel() for name, values in kelvin.items()})
-        crowns = shown[loaded.terrain_count :]
         colour = np.concatenate([colour, *(each.colour.reshape(-1, 3) for each in crowns)])
         warm = np.concatenate([warm, *(_texels(leaves[each.name.split(":")[0]], each) for each in crowns)])
         (draft / SURVEY).mkdir()
@@ -245,8 +244,9 @@ def _true_kelvin(
     fields = {}
     for name, values in vars(scene.deviations).items():
         own = {mesh: np.ones(size, np.float32) for mesh, size in sizes.items()} | {"ground": np.ravel(values)}
-        others = [np.ones(each.material.size, np.float32) for each in loaded.surfaces[loaded.terrain_count : loaded.solved_count]]
-        fields[name] = np.concatenate([_by_surface(loaded, own), *others])
+        objects = loaded.surfaces[loaded.terrain_count : loaded.solved_count]
+        others = np.ones(sum(each.material.size for each in objects), np.float32)
+        fields[name] = np.concatenate([_by_surface(loaded, own), others])
     fields["exchange"] = np.float32(exchange) * fields["exchange"]
     found = solved(true, [loaded.time], geometry, progress, Deviations(**fields))[0]
     kelvin = np.concatenate([surface.temperature.ravel() for surface in found.surfaces[: found.terrain_count]])

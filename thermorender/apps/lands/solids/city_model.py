@@ -15,19 +15,11 @@ from thermorender import Material
 from thermorender.apps.lands.solids import detection
 from thermorender.apps.lands.solids.borders import OPEN, Loop, borders
 from thermorender.apps.lands.solids.facades import COLOURS, DOOR, GLASS, MATERIALS, Wall, facade, wall_of
-from thermorender.apps.lands.solids.plants import DENSITY, Plants, edge_of
+from thermorender.apps.lands.solids.plants import Bodies
 from thermorender.apps.lands.solids.quads import Quads
 from thermorender.apps.lands.solids.roof_steps import cut_at_steps, without_courtyards
 from thermorender.apps.lands.solids.textured_mesh import TexturedMesh
-from thermorender.apps.lands.solids.tree_types import (
-    BARK,
-    LEAVES,
-    TreeType,
-    add_trunk,
-    columns_of,
-    radius_of,
-    tree_types_of,
-)
+from thermorender.apps.lands.solids.trees import plants_of
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.physics.srgb import linear_from_bytes
@@ -36,8 +28,9 @@ from thermorender.scene.mapped_cover import MappedCover
 from thermorender.scene.raster import Grid, lon_lat
 from thermorender.scene.surface import fill, nearest_valid
 
-GROUND, ROOFS, WALLS, PLANTS = "ground", "roofs", "walls", "plants"
-INFERRED = (WALLS, PLANTS)
+GROUND, ROOFS, WALLS, TRUNKS = "ground", "roofs", "walls", "trunks"
+INFERRED = (WALLS, TRUNKS)
+BARK = "bark"
 # Material of roofs where no orthophoto says more.
 ROOF = "roof_tile_clay"
 _TEXEL_M, _EDGE_M, _BELOW_M = 0.3, 2.0, 0.5
@@ -69,9 +62,7 @@ class CityModel:
     trees: int
     stated_walls: int  # Buildings whose outlines declare the material or colour of their walls
     unmatched: dict[str, int]  # Declared materials and colours without a match, with their counts
-    tree_types: tuple[
-        TreeType, ...
-    ] = ()  # Trees as copies of typical ones; empty where their leaves are among the meshes
+    plants: dict[tuple[str, str], Bodies] = field(default_factory=dict)  # Crowns, by shape and material
     notes: tuple[str, ...] = ()  # On the files it was made from, one sentence each
     cover: MappedCover | None = None  # What the file of outlines says on materials, too
     found: tuple[detection.Outline, ...] = ()  # Outlines of buildings that no file states
@@ -104,7 +95,6 @@ def city_model(
     height: NDArray[np.float64], grid: Grid, post_m: float, ground: NDArray[np.float64] | None,
     known: Sequence[detection.Outline] | None, picture: tuple[NDArray[np.uint8], NDArray[np.bool_], Grid] | None,
     ground_colour: Sequence[int], walls: Walls, library: Mapping[str, Material], seed: int = 0,
-    copies: bool = False,
 ) -> CityModel:  # fmt: skip
     """Return the CityModel of a surface model (h, w) [m above the ellipsoid], NaN where missing. Without `ground`, a
     terrain model on the same grid, or `known` outlines of buildings, both are found from heights. In posts of 1.2 m or
@@ -155,22 +145,18 @@ def city_model(
     for index, loops in enumerate(borders(high, height.shape, post_m)):
         if loops:
             built[index] = _raised(loops, level, bare, at, roofs, post_m)
-    names = {1: walls.usual, 2: GLASS, 3: DOOR, 4: LEAVES, 5: BARK}
+    names = {1: walls.usual, 2: GLASS, 3: DOOR, 4: BARK}
     stated, unmatched = _all_walls(quads, high, built, walls, names, library, draw)
     if roofs.faces:
         meshes.append(roofs.mesh(picture, library[ROOF].colour))
     if len(quads):
         meshes.append(quads.mesh(WALLS))
-    typical: tuple[TreeType, ...] = ()
-    if trees:
-        of_trees = trees, height, bare, at, draw, post_m, _numbers(names), _colours(picture, grid)
-        if copies:
-            typical = tree_types_of(*of_trees)
-        else:
-            meshes.append(_plants(*of_trees))
+    plants = plants_of(trees, height, bare, at, post_m, _numbers(names)[BARK], _colours(picture, grid))
+    if plants.trunks:
+        meshes.append(plants.mesh(TRUNKS))
     buildings = len({high[k].building for k in built})
     found = tuple(each for each in (outlines if known is None else unstated) if _stands(each, height, bare, post_m))
-    return CityModel(tuple(meshes), names, frame, buildings, flat, len(trees), stated, unmatched, typical,
+    return CityModel(tuple(meshes), names, frame, buildings, flat, len(trees), stated, unmatched, plants.bodies,
                     tuple(notes), found=found)  # fmt: skip
 
 
@@ -424,22 +410,3 @@ def _step(
         else:
             b = foot_b = crossing
     return [foot_a, foot_b, b, a]
-
-
-def _plants(
-    trees: Sequence[detection.Tree], height: NDArray[np.float64], bare: NDArray[np.float64], at: _Local,
-    draw: np.random.Generator, post_m: float, number: dict[str, int],
-    colours: Callable[[NDArray[np.int64]], NDArray[np.float32]],
-) -> TexturedMesh:  # fmt: skip
-    """All trees: leaves below the surface model within each crown, and a trunk below each top."""
-    plants = Plants()
-    for tree in trees:
-        row, column = tree.posts.T
-        low, top = columns_of(tree, height, bare, post_m)
-        plan = at(column + 0.5, row + 0.5, bare[row, column])
-        columns = np.column_stack([plan[:, :2], plan[:, 2] + low, plan[:, 2] + top])
-        edge_m = edge_of(radius_of(tree, post_m))
-        plants.fill(draw, columns, post_m, edge_m, DENSITY, colours(tree.posts), number[LEAVES])
-        k = int(np.argmax((row == tree.top[0]) & (column == tree.top[1])))
-        add_trunk(plants, plan[k], tree.height_m, number[BARK])
-    return plants.mesh(PLANTS)

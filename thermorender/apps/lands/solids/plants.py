@@ -1,8 +1,7 @@
 """Plants: crowns and hedges as tables of turbid ellipsoids and boxes, and trunks as a mesh.
 
 What is known of a plant is columns of leaves, from a lower to an upper end, on a grid. Each plant becomes a few bodies
-that fill these columns: lobes of a round crown, stages of a conifer, lengths of a hedge. The leaf area of the columns is
-kept.
+in the volume of these columns: lobes of a crown, with gaps between, or lengths of a hedge. The leaf area is kept.
 """
 
 from dataclasses import dataclass, field, replace
@@ -25,10 +24,12 @@ Floats = NDArray[np.float64]
 # One side of leaves per volume of a crown [m²/m³], chosen: street and garden trees have 0.5 to 2, narrow conifers and
 # clipped hedges more.
 DENSITY, DENSITY_CONIFER, DENSITY_HEDGE = 1.2, 2.5, 4.0
-# Plan area of a lobe [m²], most lobes of a crown, and how much wider than its columns a lobe is.
-_LOBE_M2, _LOBES, _WIDER = 5.0, 7, 1.12
-# Stages of a conifer, and longest part of a hedge [m].
-_STAGES, _HEDGE_M = 4, 3.0
+# Volume of a lobe [m³], most lobes of a crown, and the width of a lobe relative to its part: there are gaps between.
+_LOBE_M3, _LOBES, _WIDER = 5.0, 16, 0.82
+# Points that stand for a crown's volume.
+_POINTS, _GOLDEN = 1024, 0.6180339887498949
+# Longest part of a hedge [m].
+_HEDGE_M = 3.0
 # Thinner bodies are widened to this [m].
 _LEAST_M = 0.1
 # Radius of a trunk at its upper end as a share of that at the foot.
@@ -75,7 +76,8 @@ class Bodies:
 class Plants:
     """Crowns, hedges and trunks under construction. Positions are in metres, in one frame for all."""
 
-    def __init__(self) -> None:
+    def __init__(self, most_lobes: int = _LOBES) -> None:
+        self._most = min(most_lobes, _LOBES)
         self.bodies: dict[tuple[str, str], Bodies] = {}
         self._parts: list[tuple[Floats, NDArray[np.int64], NDArray[np.float32], NDArray[np.uint8]]] = []
         self.trunks = 0  # Faces of trunks
@@ -83,40 +85,24 @@ class Plants:
     def __len__(self) -> int:
         return sum(len(rows) for bodies in self.bodies.values() for rows in bodies.rows)
 
-    def crown(
-        self, column: Floats, cell_m: float, density: float, colour: NDArray[np.floating], material: str
-    ) -> None:
-        """Add a round crown of columns (C, 4), east, north, lower and upper end [m], with linear colours (C, 3)."""
+    def crown(self, column: Floats, cell_m: float, density: float, colour: NDArray[np.floating], material: str) -> None:
+        """Add a crown of columns (C, 4), east, north, lower and upper end [m], with linear colours (C, 3)."""
         column, colour = _filled(column, colour)
         if not len(column):
             return
-        count = int(np.clip(round(len(column) * cell_m**2 / _LOBE_M2), 1, _LOBES))
-        own = _nearest(column[:, :2], _seeds(column[:, :2], count))
-        parts = [(column[own == k], colour[own == k]) for k in range(count)]
-        made = [_body(part, each, cell_m, _WIDER, 4.0 / 3.0 * np.pi / 8.0) for part, each in parts if len(part)]
+        depth = column[:, 3] - column[:, 2]
+        count = int(np.clip(round(float(depth.sum()) * cell_m**2 / _LOBE_M3), 1, self._most))
+        # Points even in the volume, each of a column.
+        upto = np.cumsum(depth)
+        at = (np.arange(_POINTS) + 0.5) / _POINTS * upto[-1]
+        own = np.minimum(np.searchsorted(upto, at), len(column) - 1)
+        height = column[own, 2] + (np.arange(_POINTS) * _GOLDEN % 1.0) * depth[own]
+        point = np.column_stack([column[own, :2], height])
+        lobe = _nearest(point, _seeds(point, count))
+        made = [_lobe(point[lobe == k], colour[own[lobe == k]]) for k in range(count) if (lobe == k).sum() > 1]
         self._add("sphere", material, made, column, cell_m, density)
 
-    def conifer(
-        self, column: Floats, cell_m: float, density: float, colour: NDArray[np.floating], material: str
-    ) -> None:
-        """Add a crown that narrows upwards, with arguments as of `crown`."""
-        column, colour = _filled(column, colour)
-        if not len(column):
-            return
-        low, high = float(column[:, 2].min()), float(column[:, 3].max())
-        made, edge = [], low + (high - low) * np.arange(_STAGES) / _STAGES
-        for stage, begin in enumerate(edge):
-            end = high if stage == _STAGES - 1 else begin + 1.6 * (high - low) / _STAGES
-            on = column[:, 3] > begin + 0.25 * (end - begin)
-            if on.any():
-                part = column[on].copy()
-                part[:, 2], part[:, 3] = begin, end
-                made.append(_body(part, colour[on], cell_m, 1.0, 4.0 / 3.0 * np.pi / 8.0))
-        self._add("sphere", material, made, column, cell_m, density)
-
-    def hedge(
-        self, column: Floats, cell_m: float, density: float, colour: NDArray[np.floating], material: str
-    ) -> None:
+    def hedge(self, column: Floats, cell_m: float, density: float, colour: NDArray[np.floating], material: str) -> None:
         """Add a hedge of boxes, with arguments as of `crown`."""
         column, colour = _filled(column, colour)
         if not len(column):
@@ -126,7 +112,7 @@ class Plants:
         count = max(1, int(np.ceil((np.ptp(place) + cell_m) / _HEDGE_M)))
         own = np.minimum(((place - place.min()) / (np.ptp(place) + 1e-9) * count).astype(int), count - 1)
         parts = [(column[own == k], colour[own == k]) for k in range(count)]
-        made = [_body(part, each, cell_m, 1.0, 1.0, along) for part, each in parts if len(part)]
+        made = [_box(part, each, cell_m, along) for part, each in parts if len(part)]
         self._add("box", material, made, column, cell_m, density)
 
     def _add(
@@ -174,15 +160,19 @@ class Plants:
         )  # fmt: skip
 
 
-def write_bodies(folder: Path, every: "dict[tuple[str, str], Bodies]", down_m: float = 0.0) -> list[dict[str, Any]]:
+def write_bodies(
+    folder: Path, every: "dict[tuple[str, str], Bodies]", down_m: float = 0.0, temperature: str | float = "balance"
+) -> list[dict[str, Any]]:
     """Write tables of bodies into a scene's folder; return the [[object]] tables of scene.toml. `down_m` is taken from
-    their heights; without temperatures of their own, the heat balance solves them."""
+    their heights; `temperature` is of those without temperatures of their own."""
+    if not every:
+        return []
     (folder / _FOLDER).mkdir(exist_ok=True)
     tables = []
     for bodies in every.values():
         rows = np.concatenate(bodies.rows)
         rows = rows - down_m * (np.array(_COLUMNS) == "up_m")
-        file, warm = f"{_FOLDER}/{bodies.name}.csv", "balance"
+        file, warm = f"{_FOLDER}/{bodies.name}.csv", temperature
         write_text(folder / file, _csv(_COLUMNS, rows, "%.2f,%.2f,%.2f,%.2f,%.2f,%.2f,%.0f,%.3f,%.0f,%.0f,%.0f"))
         if bodies.kelvin is not None:
             warm = f"{_FOLDER}/{bodies.name}_kelvin.csv"
@@ -230,20 +220,36 @@ def _axes(place: Floats) -> Floats:
     return found
 
 
-def _body(
-    column: Floats, colour: NDArray[np.floating], cell_m: float, wider: float, full: float, along: Floats | None = None
-) -> tuple[Floats, float]:
-    """(row of a table without its density, volume [m³]) of the body around columns; `full` is its share of a box."""
-    axis = _axes(column[:, :2])[0] if along is None else along
+def _lobe(point: Floats, colour: NDArray[np.floating]) -> tuple[Floats, float]:
+    """(row of a table without its density, volume [m³]) of the ellipsoid with the extents of points (n, 3)."""
+    axis, middle = _axes(point[:, :2])[0], point.mean(axis=0)
     across = np.array([axis[1], -axis[0]])
+    off = point - middle
+    # The variance along an axis of an ellipsoid is a fifth of the square of its half-axis.
+    spread = [np.std(off[:, :2] @ across), np.std(off[:, :2] @ axis), np.std(off[:, 2])]
+    width, length, height = (max(2.0 * np.sqrt(5.0) * _WIDER * float(each), _LEAST_M) for each in spread)
+    row = _row((middle[0], middle[1], middle[2] - 0.5 * height), (width, length, height), axis, colour)
+    return row, np.pi / 6.0 * width * length * height
+
+
+def _box(
+    column: Floats, colour: NDArray[np.floating], cell_m: float, along: Floats
+) -> tuple[Floats, float]:  # fmt: skip
+    """(row of a table without its density, volume [m³]) of the box around columns, with their plan area."""
+    across = np.array([along[1], -along[0]])
     middle = column[:, :2].mean(axis=0)
-    length, width = (np.ptp((column[:, :2] - middle) @ way) + cell_m for way in (axis, across))
-    # The plan area is that of the columns: of an ellipse within its box, or of a box.
-    plan = len(column) * cell_m**2 / (np.pi / 4.0 if full < 1.0 else 1.0)
-    scale = wider * np.sqrt(plan / (length * width))
+    length, width = (float(np.ptp((column[:, :2] - middle) @ way)) + cell_m for way in (along, across))
+    scale = np.sqrt(len(column) * cell_m**2 / (length * width))
     length, width = (max(scale * each, _LEAST_M) for each in (length, width))
     low, high = float(column[:, 2].mean()), float(np.quantile(column[:, 3], 0.9))
     height = max(high - low, _LEAST_M)
+    return _row((middle[0], middle[1], low), (width, length, height), along, colour), width * length * height
+
+
+def _row(
+    base: tuple[float, float, float], size: tuple[float, float, float], axis: Floats, colour: NDArray[np.floating]
+) -> Floats:
+    """A row of a table, without its density; `axis` (2,) is the direction of the length in the plan."""
     yaw = float(np.degrees(np.arctan2(axis[0], axis[1]))) % 360.0
     rgb = bytes_from_linear(colour.mean(axis=0, keepdims=True).astype(np.float32))[0]
-    return np.array([*middle, low, width, length, height, yaw, 0.0, *rgb]), full * width * length * height
+    return np.array([*base, *size, yaw, 0.0, *rgb])

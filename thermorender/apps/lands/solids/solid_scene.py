@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 
 from thermorender.apps.lands.import_settings import ThreeD
 from thermorender.apps.lands.solids import detection
-from thermorender.apps.lands.solids.city_model import INFERRED, PLANTS, ROOF, ROOFS, WALLS, CityModel, Walls, city_model
+from thermorender.apps.lands.solids.city_model import INFERRED, ROOF, ROOFS, TRUNKS, WALLS, CityModel, Walls, city_model
 from thermorender.apps.lands.solids.clouds import Cloud
 from thermorender.apps.lands.solids.outlines import outlines_in, outlines_in_classes
-from thermorender.apps.lands.solids.plants import write_leaf_tables
+from thermorender.apps.lands.solids.plants import write_bodies, write_leaf_tables
 from thermorender.apps.lands.solids.textured_mesh import MESH, write_meshes
-from thermorender.apps.lands.solids.tree_types import write_tree_types
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import find, load_library
 from thermorender.scene.mapped_cover import read_mapped_cover
@@ -55,8 +54,7 @@ def solid_of(
         # A few stray points are no statement on the others.
         outlines = detection.outlines_of(detection.large(house, post_m)) or None
     walls, colour = Walls(wall, wall_by_kind), library[material].colour
-    solid = city_model(height + undulation_m, grid, post_m, bare, outlines, picture, colour, walls, library,
-                     copies=three_d.copies)  # fmt: skip
+    solid = city_model(height + undulation_m, grid, post_m, bare, outlines, picture, colour, walls, library)
     return replace(solid, notes=notes + solid.notes, cover=cover)
 
 
@@ -101,12 +99,13 @@ def _terrain_model(
     return whole, (*doubtful_zeros(path, lower), *([missing] if beyond > 0.0 else []))
 
 
-def write_solid(folder: Path, solid: CityModel, tables: dict[str, Any]) -> dict[str, Any]:
-    """Write the mesh, its class rasters and the leaves' thermal tables; return the tables of scene.toml."""
+def write_solid(folder: Path, solid: CityModel, tables: dict[str, Any], leaf_k: float | None) -> dict[str, Any]:
+    """Write the mesh, its class rasters, the crowns and the leaves' thermal tables; return the tables of scene.toml.
+    Leaves have the temperature `leaf_k`, or that of a heat balance."""
     write_leaf_tables(folder)
     learned = tables["emissivity"]["source"] == "learned"
     surfaces = []
-    for table in write_meshes(folder, [mesh for mesh in solid.meshes if mesh.name in (WALLS, PLANTS)], solid.meshes):
+    for table in write_meshes(folder, [mesh for mesh in solid.meshes if mesh.name in (WALLS, TRUNKS)], solid.meshes):
         surfaces.append(table | ({"inferred": True} if table["name"] in INFERRED else {}))
     if not learned and any(mesh.name == ROOFS for mesh in solid.meshes):
         surfaces.append({"name": ROOFS, "material": ROOF})
@@ -115,5 +114,5 @@ def write_solid(folder: Path, solid: CityModel, tables: dict[str, Any]) -> dict[
     return tables | {
         "terrain": {"mesh": MESH}, "frame": place, "surface": surfaces,
         "emissivity": tables["emissivity"] | {"classes": solid.classes},
-        "object": write_tree_types(folder, solid.tree_types) or None,
+        "object": write_bodies(folder, solid.plants, temperature="balance" if leaf_k is None else leaf_k) or None,
     }  # fmt: skip
