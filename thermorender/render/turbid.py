@@ -124,6 +124,7 @@ class CrownField:
         )]  # fmt: skip
         self.surface, self.first_face, self.first_texel = (mi.UInt32(aligned(each, np.uint32)) for each in per)
         self._hair = dr.opaque(mi.Float, hair)
+        self.leaf_m = max(crowns.leaf_m for _, crowns in own)
         self.crowns, self.numbers = every, [k for k, _ in own]
 
     def frame(self, crown: Jit, active: Jit = True) -> Frame:
