@@ -204,3 +204,22 @@ def test_leaves_before_the_sky_are_no_background(tmp_path):
     above = crown & (np.arange(len(crown))[:, None] < len(crown) // 2)
     assert above.sum() > 20
     assert np.isfinite(frame.error_mk[above]).all() and (frame.truth["depth"][above] < 12.0).all()
+
+
+def test_water_shows_crowns_as_it_shows_solid_bodies(tmp_path):
+    # 2 m above a lake: many leaves, which are opaque, against a solid box of their material and temperature.
+    shown = []
+    for name, more in (("leaves", {"leaf_area_1_m": 60.0}), ("solid", {})):
+        roof = scene_object("roof", [14.0, 14.0, 2.0], [0.0, 0.0, 2.0], 310.0, "broadleaf", shape="box", **more)
+        folder = write_terrain(tmp_path / name, extra=roof, classes=np.full((32, 32), 1), sky=220.0)
+        toml = (folder / "scene.toml").read_text().replace('1 = "grass_green"', '1 = "water_fresnel"')
+        (folder / "scene.toml").write_text(toml)
+        renderer = tr.Renderer(coarse(tr.load_scene(folder), 8), "fast", rays=1024)
+        assert renderer.plan.specular
+        frame = renderer.frame(tr.pose(0.0, -14.0, 1.4, pitch_deg=-8.0))
+        water = (frame.truth["object"] == 0) & (frame.truth["depth"] < 16.0) & (frame.truth["depth"] > 9.0)
+        shown.append(frame.apparent_temperature[water])
+    assert shown[0].shape == shown[1].shape and shown[0].size > 100
+    assert abs(shown[0].mean() - shown[1].mean()) < 0.1
+    # At the edge of its image the box is soft.
+    assert np.quantile(np.abs(shown[0] - shown[1]), 0.9) < 0.5

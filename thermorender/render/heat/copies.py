@@ -114,7 +114,7 @@ class Copies:
             even = mi.Float(aligned(np.repeat(np.where(leaf, PROJECTION, 0.0), _POINTS)))
             # Of thin leaves of all orientations, by their mean projection; of triangles on the lit side.
             cosine = dr.select(even > 0.0, even, dr.maximum(dr.dot(normal, sun), 0.0))
-            lit = cosine * self._geometry.sunlight(mi.Ray3f(origin, sun), cosine > 0.0)
+            lit = cosine * self._geometry.sunlight(mi.Ray3f(origin, sun), cosine > 0.0, coherent=True)
             found = np.array(lit).reshape(count, -1)
             mean[start : start + count], spread[start : start + count] = found.mean(axis=1), found.std(axis=1)
         # The two sides of a leaf have the same temperature; other columns of crowns are leaves in the sun.
