@@ -4,6 +4,7 @@ The survey is a scene of rasters: the highest surface under each texel, with its
 So the same world exists twice, and the draped one can be judged against the other.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender import Scene, load_scene
+from thermorender.apps.lands.procedural.canvas import Canvas
 from thermorender.apps.lands.procedural.light import exposed, normals
 from thermorender.apps.lands.procedural.noise import stream
-from thermorender.apps.lands.procedural.procedural_scene import SyntheticScene, painted, posts, scene_of
+from thermorender.apps.lands.procedural.procedural_scene import KINDS, SyntheticScene, painted, posts, scene_of
 from thermorender.apps.lands.procedural.scene_files import flight_csv, scene_toml, write_declared, write_temperature
+from thermorender.apps.lands.procedural.surroundings import SURROUNDINGS, Surroundings
 from thermorender.apps.lands.procedural.truth import drawn
 from thermorender.apps.lands.solids.plants import write_leaf_tables
 from thermorender.apps.lands.solids.textured_mesh import MESH, TexturedMesh, write_kelvin, write_meshes
@@ -42,7 +45,7 @@ SURVEY = "survey"
 # Positions in a texel at which the survey looks, in texels from its middle; the first gives the material.
 _LOOKS = ((0.0, 0.0), (-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))
 GROUND, BUILDINGS, PLANTS = "ground", "buildings", "plants"
-# Distance of the ground's posts [m]: walls and crowns are not in it, so that it is smooth.
+# Least distance of the ground's posts [m]: walls and crowns are not in it, so that it is smooth.
 _POST_M = 1.0
 
 
@@ -52,7 +55,9 @@ class World:
 
     scene: SyntheticScene  # Of the bare ground: its elevation, classes, deviations and weather
     meshes: tuple[TexturedMesh, ...]  # The ground first; coloured by albedo. Heights are above the ellipsoid.
-    ground_normal: NDArray[np.float32]  # (3, N, N) float32 normals of the ground's texels with their small relief
+    # (3, h, w) float32 normals of the texels of some of the meshes, by name, with relief that is not in the mesh
+    normals: dict[str, NDArray[np.float32]]
+    deviations: dict[str, Deviations]  # Of the texels of some of the meshes, by name
 
 
 def make_world(
@@ -69,12 +74,21 @@ def make_world(
     canvas, solids = made.canvas, made.canvas.solids
     assert solids is not None
     normal = np.stack(normals(canvas.surface + canvas.relief, made.texel, steepest=1.3))
-    meshes = [_ground(made.canvas.surface, canvas.albedo, canvas.material, made.size)]
+    ground, post = _ground(canvas, max(_POST_M, made.post))
+    far = Surroundings(canvas, post, KINDS[kind].reach_m, float(canvas.surface.max()) + KINDS[kind].heights_m[1])
+    KINDS[kind].around(far)
+    meshes = [ground]
     if len(solids.quads):
         meshes.append(solids.quads.mesh(BUILDINGS))
     if solids.plants.faces:
         meshes.append(solids.plants.mesh(PLANTS))
-    return World(scene_of(made), (meshes[0], *(_within(mesh, 0.5 * made.size) for mesh in meshes[1:])), normal)
+    scene = scene_of(made)
+    mirrored = {name: far.mirrored(values) for name, values in vars(scene.deviations).items()}
+    return World(
+        scene, (ground, *(_within(mesh, 0.5 * made.size) for mesh in meshes[1:]), far.mesh()),
+        {GROUND: normal, SURROUNDINGS: far.normals()},
+        {GROUND: scene.deviations, SURROUNDINGS: Deviations(**mirrored)},
+    )  # fmt: skip
 
 
 def _within(mesh: TexturedMesh, half: float) -> TexturedMesh:
@@ -83,13 +97,14 @@ def _within(mesh: TexturedMesh, half: float) -> TexturedMesh:
     return replace(mesh, faces=mesh.faces[inside], uv=mesh.uv[inside])
 
 
-def _ground(
-    surface: NDArray[np.float32], albedo: NDArray[np.float32], material: NDArray[np.uint8], size: float
-) -> TexturedMesh:
-    """The ground as a TexturedMesh of cells of about 1 m, whose corners have the mean heights around them."""
+def _ground(canvas: Canvas, post_m: float) -> tuple[TexturedMesh, NDArray[np.float64]]:
+    """The ground as a TexturedMesh of cells of about `post_m`, and the heights of its posts (K + 1, K + 1) [m], means
+    around them.
+    """
     import cv2
 
-    count = max(2, round(size / _POST_M))
+    surface, size = canvas.surface, canvas.size
+    count = max(2, round(size / post_m))
     cells = cv2.resize(surface - surface.mean(), (count, count), interpolation=cv2.INTER_AREA)
     around = np.pad(cells, 1, "edge").astype(np.float64)
     post = 0.25 * (around[:-1, :-1] + around[:-1, 1:] + around[1:, :-1] + around[1:, 1:]) + float(surface.mean())
@@ -100,7 +115,8 @@ def _ground(
     a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]))
     faces = np.concatenate([np.stack([a, c, d], axis=-1), np.stack([a, d, b], axis=-1)])
     uv = np.stack([u.ravel(), v.ravel()], axis=-1)[faces].astype(np.float32)
-    return TexturedMesh(GROUND, vertices, faces, uv, bytes_from_linear(np.clip(albedo, 0.0, 1.0)), material)
+    colour = bytes_from_linear(np.clip(canvas.albedo, 0.0, 1.0))
+    return TexturedMesh(GROUND, vertices, faces, uv, colour, canvas.material), post
 
 
 def write(world: World, directory: str | Path, overwrite: bool = False, progress: Progress | None = None) -> Path:
@@ -119,7 +135,8 @@ def write(world: World, directory: str | Path, overwrite: bool = False, progress
         # Objects are those of the survey too: neither they nor their shadows are in its rasters.
         terrain = Geometry(activate(), loaded.surfaces[: loaded.terrain_count])
         meshes = _lit(loaded, terrain, meshes, world)
-        kelvin = _true_kelvin(loaded, geometry, scene, progress)
+        kelvin, warm_k = _true_kelvin(loaded, geometry, world, progress)
+        scene, seen = (replace(each, objects=_solved(each.objects, warm_k)) for each in (scene, world.scene))
         for table, mesh in zip(tables, meshes, strict=True):
             table["temperature"] = f"{mesh.name}_kelvin.tif"
             write_kelvin(draft / table["temperature"], kelvin[mesh.name])
@@ -128,7 +145,7 @@ def write(world: World, directory: str | Path, overwrite: bool = False, progress
         colour = _by_surface(loaded, {mesh.name: mesh.colour.reshape(-1, 3) for mesh in meshes})
         warm = _by_surface(loaded, {name: values.ravel() for name, values in kelvin.items()})
         (draft / SURVEY).mkdir()
-        write_survey(world.scene, frame, terrain, draft / SURVEY, loaded, colour, warm)
+        write_survey(seen, frame, terrain, draft / SURVEY, loaded, colour, warm)
         write_text(draft / SURVEY / "flight.csv", flight_csv(flight))
     return Path(directory)
 
@@ -205,9 +222,9 @@ def _split(loaded: Scene, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
 def _lit(loaded: Scene, geometry: Geometry, meshes: list[TexturedMesh], world: World) -> list[TexturedMesh]:
     """The meshes with the colours of a photograph: lit by sun and sky, exposed as the orthophoto of a 2.5-D scene."""
     scene = world.scene
-    bare = {mesh.name: np.full((mesh.classes.size, 3), np.nan, np.float32) for mesh in meshes}
-    bare[meshes[0].name] = np.moveaxis(world.ground_normal, 0, -1).reshape(-1, 3)
-    light = daylight(geometry, loaded.terrain_count, scene.sun, _by_surface(loaded, bare))
+    normal = {mesh.name: np.full((mesh.classes.size, 3), np.nan, np.float32) for mesh in meshes}
+    normal |= {name: np.moveaxis(values, 0, -1).reshape(-1, 3) for name, values in world.normals.items()}
+    light = daylight(geometry, loaded.terrain_count, scene.sun, _by_surface(loaded, normal))
     albedo = linear_from_bytes(_by_surface(loaded, {mesh.name: mesh.colour.reshape(-1, 3) for mesh in meshes}))
     shot = exposed(albedo, light.cosine, light.sky, scene.sun[1], scene.weather.cloud or 0.0)
     lit = _split(loaded, np.where(light.shown[:, None], bytes_from_linear(shot), bytes_from_linear(albedo)))
@@ -215,20 +232,52 @@ def _lit(loaded: Scene, geometry: Geometry, meshes: list[TexturedMesh], world: W
 
 
 def _true_kelvin(
-    loaded: Scene, geometry: Geometry, scene: SyntheticScene, progress: Progress | None
-) -> dict[str, NDArray[np.float32]]:
-    """{mesh: (h, w) [K]}: the true temperatures, from drawn properties as in 2.5-D."""
+    loaded: Scene, geometry: Geometry, world: World, progress: Progress | None
+) -> tuple[dict[str, NDArray[np.float32]], dict[str, float]]:
+    """({mesh: (h, w) [K]}, {object: [K]}): the true temperatures, from drawn properties as in 2.5-D, and mean ones of
+    objects.
+    """
     assert loaded.time is not None
-    true, exchange = drawn(loaded, scene.kind, scene.seed)
+    true, exchange = drawn(loaded, world.scene.kind, world.scene.seed)
     sizes = {_name(surface): surface.material.size for surface in loaded.surfaces[: loaded.terrain_count]}
+    bodies = loaded.surfaces[loaded.terrain_count : loaded.solved_count]
     fields = {}
-    for name, values in vars(scene.deviations).items():
-        own = {mesh: np.ones(size, np.float32) for mesh, size in sizes.items()} | {"ground": np.ravel(values)}
-        fields[name] = _by_surface(loaded, own)
+    for name in vars(world.scene.deviations):
+        own = {mesh: np.ones(size, np.float32) for mesh, size in sizes.items()}
+        own |= {mesh: np.ravel(getattr(values, name)) for mesh, values in world.deviations.items()}
+        # Objects are as their tables say.
+        objects = [np.ones(each.material.size, np.float32) for each in bodies]
+        fields[name] = np.concatenate([_by_surface(loaded, own), *objects])
     fields["exchange"] = np.float32(exchange) * fields["exchange"]
     found = solved(true, [loaded.time], geometry, progress, Deviations(**fields))[0]
     kelvin = np.concatenate([surface.temperature.ravel() for surface in found.surfaces[: found.terrain_count]])
-    return _split(loaded, kelvin)
+    return _split(loaded, kelvin), _seen_k(found)
+
+
+def _seen_k(scene: Scene) -> dict[str, float]:
+    """{object: temperature [K] of a blackbody with its mean emission}, over its faces by how much sky is above each."""
+    sums: dict[str, NDArray[np.float64]] = {}
+    for body in scene.surfaces[scene.terrain_count : scene.solved_count]:
+        corner = body.vertices[body.faces]
+        across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        # Area times the view factor of the sky, (1 + cos) / 2, of a face in the open.
+        share = np.linalg.norm(across, axis=1) + across[:, 2]
+        # Each face has a texel of its own.
+        emitted = share @ body.temperature.ravel()[: len(share)].astype(np.float64) ** 4
+        name = body.name.split(":")[0]
+        sums[name] = sums.get(name, np.zeros(2)) + (emitted, share.sum())
+    return {name: float((emitted / share) ** 0.25) for name, (emitted, share) in sums.items()}
+
+
+def _solved(objects: Sequence[dict[str, Any]], kelvin: dict[str, float]) -> tuple[dict[str, Any], ...]:
+    """[[object]] tables with solved temperatures in place of what they are solved from."""
+    known = []
+    for item in objects:
+        if item["name"] in kelvin:
+            item = {key: value for key, value in item.items() if key != "inner_heat_w"}
+            item["temperature"] = round(kelvin[item["name"]], 1)
+        known.append(item)
+    return tuple(known)
 
 
 def write_survey(
