@@ -262,9 +262,9 @@ class Surroundings(Painting):
         """Return unit normals of the texels (3, rows, columns), smooth over a cell."""
         import cv2
 
-        wide = _wrapped(self.surface, 2 * _COLUMNS)
-        smooth = cv2.blur(wide, (_COLUMNS + 1, 2 * _ROWS + 1))
-        place = [_wrapped(self.east, 2 * _COLUMNS), _wrapped(self.north, 2 * _COLUMNS), smooth]
+        wide = (_wrapped(each, 2 * _COLUMNS) for each in (self.east, self.north, self.surface))
+        # All three coordinates are smoothed alike, so that a plane stays one.
+        place = [cv2.blur(each, (_COLUMNS + 1, 2 * _ROWS + 1)) for each in wide]
         outward, along = (np.stack([np.gradient(each, axis=axis) for each in place]) for axis in (0, 1))
         normal = np.cross(outward, along, axis=0)[:, :, 2 * _COLUMNS : -2 * _COLUMNS]
         return (normal / np.linalg.norm(normal, axis=0)).astype(np.float32)
