@@ -99,6 +99,12 @@ class Solids:
             window.position, u, v, *half, low - 0.2, low + height_m, lambda s, t: (colour * np.exp(tone), number)
         )
 
+    def hide_stand(self, window: "Window") -> None:
+        """Record a raised hunting hide in the middle of a window, with its ladder behind the heading."""
+        at = house_shapes.Place(window.position, 0.0, 0.0, self.canvas.height_at(*window.origin))
+        made = house_shapes.Look(self.canvas.value, self._draw, linear(128, 108, 84), "wood")
+        house_shapes.hide(self.quads, at, made)
+
     def hedge(self, window: "Window", mask: NDArray[np.bool_], height_m: Values, colour: Values) -> None:
         """Record a hedge; height [m] and linear colour are those of the (n,) texels of the mask."""
         if not mask.any():
