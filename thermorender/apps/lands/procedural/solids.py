@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 # Fields of a canvas that an object hides.
 _FIELDS = ("top", "albedo", "material", "wetness")
 # Side of a texel of walls and roofs [m].
-_TEXEL_M = 0.15
+_TEXEL_M = 0.2
 # Edge of the leaf clusters of hedges [m].
 _HEDGE_EDGE_M = 0.3
 # Faces of plants that fit into an ordinary machine's memory while their light is solved.
