@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 # Fields of a canvas that an object hides.
 _FIELDS = ("top", "albedo", "material", "wetness")
 # Side of a texel of walls and roofs [m].
-_TEXEL_M = 0.15
+_TEXEL_M = 0.2
 # Lower than this, a plant is a shrub, whose leaves reach the ground [m].
 _SHRUB_M = 3.0
 _BARK = (104, 88, 72)

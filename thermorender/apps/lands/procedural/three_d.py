@@ -46,6 +46,8 @@ SURVEY = "survey"
 # Positions in a texel at which the survey looks, in texels from its middle; the first gives the material.
 _LOOKS = ((0.0, 0.0), (-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))
 GROUND, BUILDINGS, TRUNKS = "ground", "buildings", "trunks"
+# Points of a side between which map positions are interpolated.
+_LATTICE = 33
 # Least distance of the ground's posts [m]: walls and crowns are not in it, so that it is smooth.
 _POST_M = 1.0
 
@@ -206,7 +208,7 @@ def _declare(
     folder: Path, scene: SyntheticScene, frame: LocalFrame, meshes: list[TexturedMesh], known: bool
 ) -> list[dict[str, Any]]:
     """Write mesh, classes and scene.toml; return the [[surface]] tables."""
-    tables = write_meshes(folder, meshes)
+    tables = write_meshes(folder, meshes, photographs=True)
     if known:
         tables = [{**table, "temperature": f"{table['name']}_kelvin.tif"} for table in tables]
     assert scene.weather.air_high_c is not None
@@ -313,6 +315,22 @@ def _solved(objects: Sequence[dict[str, Any]], kelvin: dict[str, float]) -> tupl
     return tuple(known)
 
 
+def _positions(frame: LocalFrame, grid: Grid, across: float, down: float) -> NDArray[np.float64]:
+    """Positions (n, 3) in a local frame [m] of the texels of a grid, moved by (`across`, `down`) from their middles.
+
+    They are interpolated between those of 33² points, by parabolas.
+    """
+    from scipy.interpolate import RectBivariateSpline
+
+    line = [np.linspace(0.0, count, _LATTICE) for count in (grid.height, grid.width)]
+    row, column = np.meshgrid(*line, indexing="ij")
+    longitude, latitude = lon_lat(grid, *(each.ravel() for each in grid.to_map(column, row)))
+    known = frame.enu_from_geodetic(latitude, longitude, np.full(longitude.size, frame.height_m))
+    at = np.arange(grid.height) + 0.5 + down, np.arange(grid.width) + 0.5 + across
+    axes = (RectBivariateSpline(*line, axis.reshape(row.shape), kx=2, ky=2)(*at).ravel() for axis in known.T)
+    return np.column_stack(list(axes))
+
+
 def write_survey(
     scene: SyntheticScene, frame: LocalFrame, geometry: Geometry, folder: Path, loaded: Scene,
     colour: NDArray[np.uint8], kelvin: NDArray[np.floating],
@@ -329,9 +347,7 @@ def write_survey(
     material = np.concatenate([surface.material.ravel() for surface in geometry.surfaces])
     height = shot = warm = 0.0  # type: Any
     for number, (across, down) in enumerate(_LOOKS):
-        column, row = np.meshgrid(*(np.arange(grid.width) + 0.5 + shift for shift in (across, down)))
-        longitude, latitude = lon_lat(grid, *(each.ravel() for each in grid.to_map(column, row)))
-        place = frame.enu_from_geodetic(latitude, longitude, np.full(longitude.size, frame.height_m))
+        place = _positions(frame, grid, across, down)
         up, texel = from_above(geometry, place[:, 0], place[:, 1])
         # Map and ground differ by the map's scale: at the edge the outermost ray may miss.
         missed = texel < 0
