@@ -1,13 +1,48 @@
-"""Crowns as copies of a body, and the same leaves one by one."""
+"""Porous bodies of clusters of leaves, for copies and crowns, and the same leaves one by one.
+
+A cluster is a small flat tetrahedron, turned at random. Its mean silhouette over all directions is a quarter of its
+surface (Cauchy's theorem for convex bodies).
+"""
 
 from dataclasses import replace
 
 import numpy as np
 import trimesh
 
-from thermorender.apps.lands.solids.plants import leaves
 from thermorender.scene.instances import expanded
 from thermorender.scene.meshes.mesh import one_texel_each
+
+# Height of a cluster's tetrahedron as a share of a regular one's; its faces are counter-clockwise from outside.
+_FLAT = 0.1
+_CORNERS = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]]) / np.sqrt(8.0)
+_FACES = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+
+
+def edge_of(radius_m):
+    """Return the edge of a cluster in a crown of a radius [m]."""
+    return float(np.clip(0.2 * radius_m, 0.28, 0.9))
+
+
+def leaves(generator, middle, edge_m):
+    """Return (vertices (4 K, 3), faces (4 K, 3)) of clusters around their middles (K, 3) [m]."""
+    axes, _ = np.linalg.qr(generator.standard_normal((len(middle), 3, 3)))
+    # A rotation, so that outside stays outside.
+    axes[np.linalg.det(axes) < 0.0, 0] *= -1.0
+    corner = middle[:, None] + edge_m * _flat() @ axes
+    faces = _FACES + 4 * np.arange(len(middle))[:, None, None]
+    return corner.reshape(-1, 3), faces.reshape(-1, 3)
+
+
+def _flat():
+    """A tetrahedron of edge 1, flattened along the axis through its first corner."""
+    axis = _CORNERS[0] / np.linalg.norm(_CORNERS[0])
+    return _CORNERS - (1.0 - _FLAT) * np.outer(_CORNERS @ axis, axis)
+
+
+def surface_m2(edge_m):
+    """Return the surface of a cluster [m²]: twice one side of the leaves that it stands for."""
+    corner = (edge_m * _flat())[_FACES]
+    return float(0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1).sum())
 
 
 def write_crown(folder, drawn, side, most=None):

@@ -84,5 +84,5 @@ def test_mirrors_are_refused(tmp_path):
     constant = 'source = "constant"\nvalue = 0.9'
     path.write_text(path.read_text().replace(constant, 'source = "material"\nmaterial = "water_fresnel"'))
     baked = tr.Renderer(coarse(tr.load_scene(path.parent), 16), rays=8).baked
-    with pytest.raises(ThermorenderError, match="moving objects, mirrors or copies"):
+    with pytest.raises(ThermorenderError, match="moving objects, mirrors, copies or crowns"):
         basic_frame(baked, tr.pose(0, 0, 5, **NADIR))

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from copies_support import leaves
 from scipy.spatial import ConvexHull
 
 import thermorender as tr
 from scenes import coarse, scene_object, write_materials, write_mesh, write_terrain
-from thermorender.apps.lands.solids.plants import leaves
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render import reference

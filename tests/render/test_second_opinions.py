@@ -19,12 +19,12 @@ from unittest import mock
 import numpy as np
 import pytest
 import trimesh
+from copies_support import leaves, surface_m2
 from path_tracer import PathTracer
 from scipy.stats import t as student
 
 import thermorender as tr
 from scenes import scene_object, write_materials, write_mesh, write_terrain
-from thermorender.apps.lands.solids.plants import Plants
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature
 from thermorender.render import reference
 from thermorender.render.pixels.budget import sampling_error
@@ -305,15 +305,16 @@ def _(folder):
 
 @case("a porous crown over colder ground")
 def _(folder):
-    """Leaves of a ball of 3 m, as `make-scene --three-d` plants them; the ground shows between them."""
+    """Clusters of leaves in a ball of 3 m, 1.2 m²/m³ of one side; the ground shows between them."""
     x, y = (each.ravel() for each in np.meshgrid(np.arange(-1.4, 1.5, 0.2), np.arange(-1.4, 1.5, 0.2)))
-    half = np.sqrt(np.maximum(1.5**2 - x**2 - y**2, 0.0))
-    plants = Plants()
-    column = np.column_stack([x, y, 3.0 - half, 3.0 + half])
-    plants.fill(np.random.default_rng(1), column, 0.2, 0.45, 1.2, np.full((len(x), 3), 0.2), 1)
-    mesh = plants.mesh("crown")
+    depth, random = 2.0 * np.sqrt(np.maximum(1.5**2 - x**2 - y**2, 0.0)), np.random.default_rng(1)
+    count = round(2.0 * 1.2 * depth.sum() * 0.2**2 / surface_m2(0.45))
+    chosen = random.choice(len(depth), count, p=depth / depth.sum())
+    plan = np.column_stack([x, y])[chosen] + random.uniform(-0.1, 0.1, (count, 2))
+    up = 3.0 + depth[chosen] * (random.uniform(size=count) - 0.5)
     folder.mkdir()
-    trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(folder / "crown.ply")
+    vertices, faces = leaves(random, np.column_stack([plan, up]), 0.45)
+    trimesh.Trimesh(vertices, faces, process=False).export(folder / "crown.ply")
     crown = scene_object("crown", [1, 1, 1], [0, 0, 0], 294.0, "paint_metallic", file="crown.ply")
     scene = written(folder, quad(40.0, cells=32), "sand_quartz", 290.0, 280.0, extra=crown, plain=quad(40.0))
     (folder / "plain" / "crown.ply").write_bytes((folder / "crown.ply").read_bytes())

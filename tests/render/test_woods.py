@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 import trimesh
-from copies_support import apart
+from copies_support import apart, edge_of, leaves, surface_m2
 
 import thermorender as tr
 from scenes import coarse, scene_object, write_balance
-from thermorender.apps.lands.solids.plants import edge_of, leaves, surface_m2, write_leaf_tables
+from thermorender.apps.lands.solids.plants import write_leaf_tables
 from thermorender.physics.sun import position_at
 
 SIDE_M, SEEDS = 40, range(6)

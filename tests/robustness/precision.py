@@ -270,14 +270,15 @@ def placed(far_m):
 
     kinds, of = _both()
     count, rng = 100_000, np.random.default_rng(3)
-    angle, size = rng.uniform(0.0, 2.0 * np.pi, count), rng.uniform(0.2, 5.0, (2, count))
-    turn = np.array([size[0] * np.cos(angle), size[0] * np.sin(angle), size[1], 0.0 * angle], np.float32)
+    angle, scale = rng.uniform(0.0, 2.0 * np.pi, count), rng.uniform(0.2, 5.0, (3, count)).astype(np.float32)
+    turn = np.array([np.cos(angle), np.sin(angle)], np.float32)
     shift = rng.uniform(-far_m, far_m, (3, count)).astype(np.float32)
     corner = rng.uniform(-5.0, 5.0, (3, count))
     found = []
     for types in kinds:
         leaves = Leaves.__new__(Leaves)
-        leaves._mi, leaves._turn, leaves._shift = types, of(types, turn.T.ravel()), of(types, shift.T.ravel())
+        leaves._mi, tables = types, (turn, scale, shift)
+        leaves._turn, leaves._scale, leaves._shift = (of(types, each.T.ravel()) for each in tables)
         vector = types.Vector3f(*(of(types, axis) for axis in corner))
         place, *_ = leaves.placed(types.UInt32(np.arange(count, dtype=np.uint32)), vector, vector, vector, vector)
         found.append(np.array(place, np.float64))

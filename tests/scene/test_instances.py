@@ -221,7 +221,7 @@ def test_light_is_kept_by_the_copies_too(tmp_path):
         ({"places": "east_m,north_m\n0,nan\n"}, r"places.csv, row 2: '0,nan' is not 2 finite numbers"),
         (
             {"material": "water_fresnel"},
-            r"object 'trees' has instances of the material 'water_fresnel', whose emissivity depends",
+            r"object 'trees' has 4 copies of the material 'water_fresnel', whose emissivity depends",
         ),
         ({"extra": 'track = "places.csv"'}, r"instances='?.*places.csv.* it without track: copies do not move"),
     ],

@@ -33,7 +33,7 @@ def basic_frame(baked: BakedScene, pose: ArrayLike, side: int = 1) -> Floats:
     """Return the band radiance (H, W) seen from `pose` [W m⁻² sr⁻¹], the mean of side × side rays in each pixel."""
     scene, camera = baked.scene, baked.scene.camera
     if scene.tracked_objects or baked.plan.specular or any(surface.instances is not None for surface in scene.surfaces):
-        raise ThermorenderError(f"{scene.where} has moving objects, mirrors or copies; render it with Renderer")
+        raise ThermorenderError(f"{scene.where} has moving objects, mirrors, copies or crowns; render it with Renderer")
     pose, caster, tables = checked_pose(pose), _caster(baked), _tables(baked)
     row, column = np.mgrid[: camera.height, : camera.width]
     total = np.zeros((camera.height, camera.width))

@@ -392,7 +392,7 @@ def refuse_other_surfaces(known: Sequence[Surface], surfaces: Sequence[Surface])
             if first is not second and not np.array_equal(first, second):
                 differ = differ or f"other {name} in surface {other.name!r}"
         if not _same_copies(one, other):
-            differ = differ or f"other copies in surface {other.name!r}"
+            differ = differ or f"other copies or crowns in surface {other.name!r}"
         if one.material.shape != other.material.shape:
             differ = differ or f"{one.material.shape} texels, not {other.material.shape}, in surface {other.name!r}"
     if differ:
@@ -465,9 +465,9 @@ def _map_records(surface: Surface, part: slice) -> Floats:
 
 
 def _same_copies(one: Surface, other: Surface) -> bool:
-    """Whether two surfaces have the same copies of a body, or none."""
+    """Whether two surfaces have the same copies of a body or the same crowns, or none."""
     first, second = one.instances, other.instances
-    if first is None or second is None:
+    if first is None or second is None or type(first) is not type(second):
         return first is second
     names = (each.name for each in fields(second))
     return all(np.array_equal(getattr(first, name), getattr(second, name)) for name in names)

@@ -17,7 +17,8 @@ from thermorender.render.pixels.sampling import STAGES
 from thermorender.render.quality import Sampling
 from thermorender.render.reflection.reflectance import ReflectanceTables, make_tables
 from thermorender.render.spectrum import REFERENCE_K, Envelope, Spectrum, kept_spectrum, make_spectrum
-from thermorender.scene.instances import PATCHES
+from thermorender.scene.crowns import Crowns
+from thermorender.scene.instances import PATCHES, Instances
 from thermorender.scene.scene import Scene
 
 
@@ -54,6 +55,7 @@ class Plan:
     # copies, bodies: Copies of bodies, and bodies that they are copies of
     copies: int = 0
     bodies: int = 0
+    crowns: int = 0  # Bodies of leaves that light passes in part
     columns: int = 0  # Texels and faces whose heat balance is solved; 0 where temperatures come from elsewhere
     heated: int = 0  # Objects among them
 
@@ -120,6 +122,7 @@ class Plan:
             *self._heat_rows(),
             *[(name, "inferred", "nobody has seen its shape; flagged in the truth mask") for name in self.inferred],
             *self._copies_rows(),
+            *self._crowns_rows(),
         ]
 
     def _heat_rows(self) -> list[tuple[str, str, str]]:
@@ -137,6 +140,12 @@ class Plan:
         of = "1 body" if self.bodies == 1 else f"{self.bodies} bodies"
         why = f"of {of}; a copy has the light and temperatures of at most {PATCHES} groups of triangles"
         return [("copies", str(self.copies), f"{why}, whose scatter is in the bake's error")]
+
+    def _crowns_rows(self) -> list[tuple[str, str, str]]:
+        if not self.crowns:
+            return []
+        why = "bodies of leaves that light passes by Beer's law; a ray takes two more casts for each that it meets"
+        return [("crowns", str(self.crowns), why)]
 
     def _assumed_rows(self) -> list[tuple[str, str, str]]:
         return [
@@ -225,7 +234,8 @@ def make_plan(scene: Scene, sampling: Sampling | None = None, kept: "tuple[Plan,
     if spectrum is None:
         spectrum = make_spectrum(scene.materials, envelope, sampling.tolerance_mk, bake)
     specular = make_tables(scene, spectrum, envelope)
-    copies = [surface.instances for surface in scene.surfaces if surface.instances is not None]
+    bodies = [surface.instances for surface in scene.surfaces]
+    copies = [each for each in bodies if isinstance(each, Instances)]
     solved = scene.surfaces[: scene.solved_count] if scene.balanced else ()
     return Plan(
         band_um=band,
@@ -245,6 +255,7 @@ def make_plan(scene: Scene, sampling: Sampling | None = None, kept: "tuple[Plan,
         inferred=tuple(one.name for one in scene.spec.surfaces if one.inferred),
         copies=sum(map(len, copies)),
         bodies=len(copies),
+        crowns=sum(len(each) for each in bodies if isinstance(each, Crowns)),
         columns=sum(surface.material.size + len(surface.faces) for surface in solved),
         heated=len({each.name.split(":")[0] for each in solved[scene.terrain_count :]}),
     )

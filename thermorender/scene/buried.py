@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.scene.crowns import Crowns
 from thermorender.scene.ground import Ground
 from thermorender.scene.instances import Instances, alone
 from thermorender.scene.surface import Surface
@@ -23,15 +24,12 @@ def notes(
 ) -> tuple[str, ...]:
     """Return a sentence on each object that is more than 10 % under the ground, seen from above.
 
-    An object with a track is looked at along it, and of copies some are.
+    An object with a track is looked at along it, and of copies and crowns some are.
     """
     still: dict[str, list[Surface]] = {}
     for surface in surfaces[terrain_count:]:
         still.setdefault(surface.name.split(":")[0], []).append(surface)
-    parts = [
-        (name, "", _copies(own) if isinstance(own[0].instances, Instances) else _tops(own, np.eye(4)))
-        for name, own in still.items()
-    ]
+    parts = [(name, "", _still(own)) for name, own in still.items()]
     parts += [part for one in tracked for part in _along(one, ground)]
     if not parts:
         return ()
@@ -54,12 +52,29 @@ def notes(
     return tuple(sentences)
 
 
-def _copies(surfaces: Sequence[Surface]) -> _Floats:
-    """Tops (n, 3) of some copies of a body."""
-    assert isinstance(surfaces[0].instances, Instances)
-    matrix = surfaces[0].instances.matrices
-    some = matrix[np.linspace(0, len(matrix) - 1, min(len(matrix), _PLACES)).astype(int)]
-    body = _tops([alone(surface) for surface in surfaces], np.eye(4))
+def _still(surfaces: Sequence[Surface]) -> _Floats:
+    """Tops (n, 3) of an object without a track; of copies and crowns those of some."""
+    bodies = surfaces[0].instances
+    if bodies is None:
+        return _tops(surfaces, np.eye(4))
+    chosen = np.linspace(0, len(bodies) - 1, min(len(bodies), _PLACES)).astype(int)
+    return _crowns(bodies, chosen) if isinstance(bodies, Crowns) else _copies(surfaces, bodies, chosen)
+
+
+def _crowns(crowns: Crowns, chosen: NDArray[np.int_]) -> _Floats:
+    """Tops (n, 3) of chosen crowns."""
+    unit = 2.0 * _even() - 1.0
+    if not crowns.box:
+        unit = unit[np.hypot(*unit.T) < 1.0]
+    top = np.ones(len(unit)) if crowns.box else np.sqrt(1.0 - (unit**2).sum(axis=1))
+    local = np.column_stack([unit, top]) * crowns.half[chosen, None]
+    found: _Floats = np.einsum("nij,npj->npi", crowns.axes[chosen], local) + crowns.middle[chosen, None]
+    return found.reshape(-1, 3)
+
+
+def _copies(surfaces: Sequence[Surface], copies: Instances, chosen: NDArray[np.int_]) -> _Floats:
+    """Tops (n, 3) of chosen copies of a body."""
+    some, body = copies.matrices[chosen], _tops([alone(surface) for surface in surfaces], np.eye(4))
     found: _Floats = (np.einsum("nij,pj->npi", some[:, :, :3], body) + some[:, None, :, 3]).reshape(-1, 3)
     return found
 
@@ -86,8 +101,14 @@ def _tops(surfaces: Sequence[Surface], matrix: _Floats) -> _Floats:
     reached = np.cumsum(up if up.any() else np.linalg.norm(across, axis=1))
     number = np.arange(_POINTS)
     a, b, c = np.moveaxis(corner[np.searchsorted(reached, (number + 0.5) / _POINTS * reached[-1])], 1, 0)
-    # Even points of a unit square, folded into a triangle: the additive sequence of the plastic number.
-    even = np.outer(number + 0.5, [0.7548776662466927, 0.5698402909980532]) % 1.0
+    # Folded from the square into a triangle.
+    even = _even()
     even = np.where(even.sum(axis=1, keepdims=True) > 1.0, 1.0 - even, even)
     found: _Floats = a + even[:, :1] * (b - a) + even[:, 1:] * (c - a)
+    return found
+
+
+def _even() -> _Floats:
+    """Even points (n, 2) of a unit square: the additive sequence of the plastic number."""
+    found: _Floats = np.outer(np.arange(_POINTS) + 0.5, [0.7548776662466927, 0.5698402909980532]) % 1.0
     return found

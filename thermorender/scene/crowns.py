@@ -55,6 +55,9 @@ class Crowns:
     def __len__(self) -> int:
         return len(self.middle)
 
+    def __str__(self) -> str:
+        return "1 crown" if len(self) == 1 else f"{len(self)} crowns"
+
     @property
     def volume(self) -> Floats:
         """Volume of each crown, (n,) [m³]."""

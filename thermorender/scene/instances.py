@@ -47,6 +47,9 @@ class Instances:
     def __len__(self) -> int:
         return len(self.position)
 
+    def __str__(self) -> str:
+        return "1 copy" if len(self) == 1 else f"{len(self)} copies"
+
     @property
     def patches(self) -> int:
         """Patches of each copy."""

@@ -105,25 +105,28 @@ def _placed(one: TrackedObject, values: Mapping[str, float], ground: Ground, whe
 
 
 def _copies(one: TrackedObject, ground: Ground, where: str) -> list[Surface]:
-    """The surfaces of an object with instances: its position and heading are added to those of each copy."""
+    """The surfaces of copies or crowns: position and heading of the object are added to those of each."""
     assert one.places is not None
     item, row = one.item, one.places
+    one_of = "crown" if item.leaf_area_1_m else "copy"
     east, north = row["east_m"] + item.position[0], row["north_m"] + item.position[1]
     height = ground(east, north)
     if not np.isfinite(height).all():
         off = int(np.argmin(np.isfinite(height)))
+        mend = f"leave that row out of {item.instances}" if item.instances else "give another position"
         raise ThermorenderError(
-            f"{where}: object {item.name!r} has a copy at {east[off]:g} m east, {north[off]:g} m north, where there is "
-            f"no terrain; leave that row out of {item.instances}"
+            f"{where}: object {item.name!r} has a {one_of} at {east[off]:g} m east, {north[off]:g} m north, where "
+            f"there is no terrain; {mend}"
         )
     top = row.get("height_m", max(float(surface.vertices[:, 2].max()) for surface in one.surfaces)) * row["scale"]
     top += row["above_ground_m"] + item.position[2] + one.lift_m
     # Heights in the local frame may be below a roof.
     if "up_m" not in row and (top <= 0.0).any():
         off = int(np.argmax(top <= 0.0))
+        key = f"above_ground_m in {item.instances}" if item.instances else "the third number of its position"
         raise ThermorenderError(
-            f"{where}: object {item.name!r} has a copy at {east[off]:g} m east, {north[off]:g} m north whose top is "
-            f"{-top[off]:g} m below the ground; give above_ground_m in {item.instances} in metres above the terrain"
+            f"{where}: object {item.name!r} has a {one_of} at {east[off]:g} m east, {north[off]:g} m north whose top "
+            f"is {-top[off]:g} m below the ground; give {key} in metres above the terrain"
         )
     up = row.get("up_m", height) + row["above_ground_m"] + item.position[2] + one.lift_m
     place = dict(row) | {

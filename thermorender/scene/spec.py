@@ -306,8 +306,8 @@ class ObjectSpec:
             where.of("name").refuse(self.name, "a name without ':', which separates the parts of an object")
         if self.track and self.instances:
             where.of("instances").refuse(str(self.instances), "it without track: copies do not move")
-        if self.instances and self.upright is False:
-            where.of("upright").refuse(False, "it without instances: copies stand upright")
+        if (self.instances or self.leaf_area_1_m) and self.upright is False:
+            where.of("upright").refuse(False, "it without instances and leaf_area_1_m: copies and crowns stand upright")
         if self.leaf_area_1_m is not None and (self.track or self.shape not in ("box", "sphere")):
             where.of("leaf_area_1_m").refuse(
                 self.leaf_area_1_m, "it with shape='box' or 'sphere', and without track: a crown stands still"

@@ -394,8 +394,8 @@ def _objects(
             _refuse_without_thermal(name, material, where)
         if surface.instances is not None and material.emissivity_by_angle is not None:
             raise ThermorenderError(
-                f"{where}: object {name!r} has instances of the material {material.name!r}, whose emissivity depends "
-                "on the angle, which copies do not support; give them another material"
+                f"{where}: object {name!r} has {surface.instances} of the material {material.name!r}, whose emissivity "
+                "depends on the angle, which copies and crowns do not support; give them another material"
             )
         yield replace(_covered(surface, cover.objects[number], kelvin), inner_w_m2=inner_w * inner_1_m2)
 

@@ -66,7 +66,7 @@ class Surface:
         rows, columns = self.material.shape
         known = self.temperature[np.isfinite(self.temperature)]
         kelvin = f"{known.min():.1f}–{known.max():.1f} K" if known.size else "no temperature yet"
-        what = f"{len(self.faces)} triangles" if self.instances is None else f"{len(self.instances)} copies"
+        what = f"{len(self.faces)} triangles" if self.instances is None else str(self.instances)
         return f"Surface({self.name!r}, {what}, {columns}×{rows} texels of {self.texel_m:.3g} m, {kelvin})"
 
 

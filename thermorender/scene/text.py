@@ -50,9 +50,11 @@ def table_of(scene: "Scene") -> str:
 
 
 def _counted(name: str, scene: "Scene") -> str:
-    """The name of an object, with the number of its copies."""
-    copies = [len(s.instances) for s in scene.surfaces if s.instances is not None and s.name.split(":")[0] == name]
-    return f"{name} ({copies[0]} copies)" if copies else name
+    """The name of an object, with the number of its copies or crowns."""
+    for surface in scene.surfaces:
+        if surface.instances is not None and surface.name.split(":")[0] == name:
+            return f"{name} ({surface.instances})"
+    return name
 
 
 def html_of(scene: "Scene") -> str:

@@ -72,7 +72,7 @@ def test_a_house_has_walls_to_its_eaves_and_a_tree_a_crown(model, tmp_path, give
     made = import_terrain(model / "dsm.tif", None, tmp_path / "s", ImportSettings(known=outlines), three_d)
     assert (made["buildings"], made["trees"]) == (1, 1)
     of = surfaces(scene := tr.load_scene(tmp_path / "s"))
-    assert set(of) == {"ground", "roofs", "walls", "plants"}
+    assert set(of) == {"ground", "roofs", "walls", "trunks", "sphere"}
     origin = scene.frame.height_m
     roof = of["roofs"].vertices[:, 2] + origin
     assert roof == pytest.approx(np.full(len(roof), 27.0), abs=0.01)
@@ -81,22 +81,23 @@ def test_a_house_has_walls_to_its_eaves_and_a_tree_a_crown(model, tmp_path, give
     # 46 m round the house, from half a metre below the lowest ground (20.4 m, but for what a filter leaves) to 27 m.
     # An outline found by height lies on the sides of posts.
     assert upright_area(of["walls"]) == pytest.approx(46.0 * (27.0 - 20.4 + 0.5), rel=0.02 if known else 0.15)
-    east, north, up = of["plants"].vertices.T
-    assert np.hypot(east - 12.0, north + 9.0).max() < 4.5
-    assert up.min() + origin > 20.0 and 29.0 < up.max() + origin < 31.5
-    # Nothing stands inside the house.
-    inside = (np.abs(east + 7.0) < 6.0) & (np.abs(north - 7.5) < 3.5)
-    assert not inside.any()
+    # Trunk and crown of the tree, 30.4 m above the ellipsoid at its top.
+    east, north, up = of["trunks"].vertices.T
+    assert np.hypot(east - 12.0, north + 9.0).max() < 1.0 and 20.0 < up.min() + origin < up.max() + origin < 27.0
+    crown = of["sphere"].instances
+    reach = np.hypot(*(crown.middle[:, :2] - [12.0, -9.0]).T) + crown.half[:, :2].max(axis=1)
+    low, high = (crown.middle[:, 2] + sign * crown.half[:, 2] + origin for sign in (-1.0, 1.0))
+    assert 2.8 < reach.max() < 4.5 and low.min() > 22.0 and 29.0 < high.max() < 31.5
 
 
 def test_what_nobody_has_seen_is_flagged_and_listed(model, tmp_path):
     import_terrain(model / "dsm.tif", None, tmp_path / "s", three_d=ThreeD(model / "dem.tif"))
     scene = tr.load_scene(tmp_path / "s")
     flagged = {name: bool((surface.flags & FILLED).all()) for name, surface in surfaces(scene).items()}
-    assert flagged == {"ground": False, "roofs": False, "walls": True, "plants": True}
+    assert flagged == {"ground": False, "roofs": False, "walls": True, "trunks": True, "sphere": False}
     assert {row[0] for row in make_plan(scene, Sampling.of(rays=16)).rows() if row[1] == "inferred"} == {
         "walls",
-        "plants",
+        "trunks",
     }
     renderer = tr.Renderer(scene, quality="fast", rays=16)
     frame = renderer.frame(scene.pose(-7.0, -20.0, 6.0, look_at=(-7.0, 3.0, 0.0)))
@@ -122,7 +123,7 @@ def test_wrong_arguments(model, tmp_path):
         )
     done = CliRunner().invoke(cli.app, ["import-terrain", str(model / "dsm.tif"), "-o", str(tmp_path / "s"),
                                         "--wall", "brick_clay"])  # fmt: skip
-    assert done.exit_code != 0 and "--wall, --building-class and --copies are for scenes" in str(done.exception)
+    assert done.exit_code != 0 and "--ground, --wall and --building-class are for scenes" in str(done.exception)
     assert not (tmp_path / "s").exists()
 
 
