@@ -122,8 +122,8 @@ class Geometry:
         flight, side = self.crowns.drawn(ray, hit.distance, active)
         return self._in_crowns(hit, flight, side.z > 0.0), dr.select(flight.met, side, normal)
 
-    def _in_crowns(self, hit: Hit, flight: turbid.Flight, up: Jit) -> Hit:
-        """The Hit of rays that end at leaves where their Flight meets one."""
+    def _in_crowns(self, hit: Hit, flight: turbid.FreeFlight, up: Jit) -> Hit:
+        """The Hit of rays that end at leaves where their FreeFlight meets one."""
         assert self.crowns is not None
         surface, face = self.crowns.face(flight, up)
         return Hit(

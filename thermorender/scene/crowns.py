@@ -8,15 +8,13 @@ upper half, and of each the sides of leaves that face down and up.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.errors import ThermorenderError
 from thermorender.scene.meshes.mesh import one_texel_each
-from thermorender.scene.surface import Surface, scene_kelvin
+from thermorender.scene.surface import Surface
 
 Floats = NDArray[np.float64]
 
@@ -111,20 +109,6 @@ class Crowns:
         point[..., 2] = np.abs(point[..., 2]) * np.where(patch >= 2, 1.0, -1.0)[:, None]
         normal *= np.where(patch % 2, 1.0, -1.0)[:, None, None]
         return point, normal
-
-
-def read_kelvin(path: Path, rows: int) -> dict[str, Floats]:
-    """Return {column of KELVIN: (n,)} of a table of leaf temperatures, with a row for each crown."""
-    from thermorender.scene.tracks import read_columns
-
-    columns, numbers = read_columns(path, KELVIN, ())
-    if len(numbers) != rows:
-        raise ThermorenderError(
-            f"{path} has {len(numbers)} rows of temperatures for {rows} crowns; give one for each row of instances"
-        )
-    for name, values in columns.items():
-        scene_kelvin(f"{path}: {name}", values)
-    return columns
 
 
 def placed(surface: Surface, place: Mapping[str, Floats], density_1_m: float, leaf_m: float = LEAF_M) -> Surface:

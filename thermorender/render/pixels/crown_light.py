@@ -18,7 +18,7 @@ from thermorender.physics import sun
 from thermorender.render.arrays import Channels, Floats, Jit, aligned
 from thermorender.render.geometry import Geometry
 from thermorender.render.plan import Plan
-from thermorender.render.turbid import Chord, CrownField, Frame
+from thermorender.render.turbid import Chord, CrownField, UnitBody
 from thermorender.scene.crowns import PATCHES
 from thermorender.scene.scene import Scene
 
@@ -109,12 +109,12 @@ class SunlitLeaves:
             yield mi.UInt32(aligned(crown, np.uint32)), mi.Point3f(*map(aligned, place.reshape(-1, 3).T))
             first += len(crowns)
 
-    def _own_depth(self, frame: Frame, at: Jit) -> Jit:
+    def _own_depth(self, frame: UnitBody, at: Jit) -> Jit:
         """Optical depth of the own crown from points in its frame towards the sun."""
         start, end = frame.chord(at, frame.vector(self._towards))
         return frame.extinction * dr.maximum(end - dr.maximum(start, 0.0), 0.0)
 
-    def _share(self, crown: Jit, frame: Frame, at: Jit, active: Jit) -> Jit:
+    def _share(self, crown: Jit, frame: UnitBody, at: Jit, active: Jit) -> Jit:
         """Share of leaves in the sun at points in the frames of crowns."""
         mi = self._mi
         cell = dr.clip((at + 1.0) * (0.5 * (_LATTICE - 1)), 0.0, _LATTICE - 1.001)
