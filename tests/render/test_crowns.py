@@ -94,7 +94,11 @@ def test_flights_end_where_beers_law_says(tmp_path):
         share = (met & (height > level)).mean()
         expected = 1.0 - np.exp(-0.6 * (4.0 - level))
         assert abs(share - expected) < 4.0 * np.sqrt(expected * (1.0 - expected) / count)
-    assert np.array(flight.upper)[met & (height > 2.51)].all()
+    quarter, up = np.array(flight.quarter), np.abs(height - 2.5) > 0.01
+    assert (quarter % 2 == (height > 2.5))[met & up].all()
+    # The core has 0.5^(1/3) of the width.
+    shell = np.abs(height - 2.5) / 1.5 > 0.5 ** (1.0 / 3.0)
+    assert ((quarter >= 2) == shell)[met].mean() > 0.995
 
 
 def test_crowns_in_an_isothermal_enclosure_are_a_blackbody(tmp_path):
@@ -165,20 +169,22 @@ def test_sun_on_the_leaves_of_a_layer_is_what_it_intercepts(crop):
     edges = np.exp(-x * np.array([1.0, 0.5, 0.0]))
     expected = np.diff(edges) / (0.5 * x)
     found = crop.baked.device.static_outgoing.leaves._means(crop.baked.geometry.crowns)[0]
-    np.testing.assert_allclose(found, expected, atol=0.01)
+    # Of both halves the core and the shell have half of the volume.
+    np.testing.assert_allclose(found.reshape(2, 2).mean(axis=0), expected, atol=0.01)
     # Those of the heat balance, from other points: cosines of the sun on leaves are half of these shares.
     towards = direction(float(elevation), float(scene.weather.sun(scene.time)[0]))
     copies = Copies(crop.baked.geometry, range(1, 2), 1, lambda at_s: towards)
     mean, spread = copies._tested(0.0)
-    np.testing.assert_allclose(mean, 0.5 * np.repeat(expected, 2), atol=0.02)
+    halves = mean.reshape(2, 2, 2).mean(axis=(0, 2))
+    np.testing.assert_allclose(halves, 0.5 * expected, atol=0.02)
     np.testing.assert_allclose(mean + spread, 0.5, rtol=1e-6)
 
 
 def test_both_sides_of_leaves_have_one_temperature_and_sunlit_ones_are_warmer(crop):
     leaves = crop.scene.surfaces[1]
-    kelvin, warmer = leaves.temperature.reshape(-1)[:4], leaves.scatter_k.reshape(-1)[:4]
-    assert kelvin[0] == kelvin[1] and kelvin[2] == kelvin[3]
-    assert (warmer > 0.1).all() and warmer[0] > warmer[2]
+    kelvin, warmer = leaves.temperature.reshape(-1)[:8], leaves.scatter_k.reshape(-1)[:8]
+    np.testing.assert_array_equal(kelvin[::2], kelvin[1::2])
+    assert (warmer > 0.1).all() and warmer[4] > warmer[6]
 
 
 def test_excess_of_sunlit_leaves_has_its_mean_over_all_directions(crop):

@@ -34,7 +34,7 @@ class FreeFlight(NamedTuple):
     met: Jit  # Bool
     distance: Jit  # along the ray [m]
     crown: Jit  # UInt32; 0 where none is met
-    upper: Jit  # Bool, in the upper half of the crown
+    quarter: Jit  # UInt32, part of the crown: 2 × shell + upper
 
 
 class UnitBody(NamedTuple):
@@ -56,6 +56,17 @@ class UnitBody(NamedTuple):
     def point(self, p: Jit) -> Jit:
         """Return a point of the scene's frame in those of the crowns."""
         return self.vector(type(self.middle)(p) - self.middle)
+
+    def inner(self, at: Jit) -> Jit:
+        """Return the share of the volume that is nearer to the middle than points in these frames, Float."""
+        wide = dr.max(dr.abs(at))
+        width = dr.select(self.box, wide, dr.norm(at))
+        return dr.minimum(width * width * width, 1.0)
+
+    def quarter(self, at: Jit) -> Jit:
+        """Return the part of the crown at points in these frames, 2 × shell + upper."""
+        number = dr.uint32_array_t(at.z)
+        return dr.select(self.inner(at) >= 0.5, number(2), 0) + dr.select(at.z >= 0.0, number(1), 0)
 
     def chord(self, at: Jit, way: Jit) -> tuple[Jit, Jit]:
         """Return distances at which lines enter and leave the crowns, equal where they miss; `at` and `way` are a point
@@ -200,8 +211,9 @@ class CrownField:
         if dr.width(begin[0]) != width:
             begin = (dr.zeros(mi.Float, width) + depth, *begin[1:])
         _, met, distance, crown = self.walk(ray, until, active, begin, visit, coherent)
-        at = self.frame(crown, met).point(ray.o + dr.select(met, distance, 0.0) * ray.d)
-        return FreeFlight(met, distance, crown, at.z >= 0.0)
+        body = self.frame(crown, met)
+        at = body.point(ray.o + dr.select(met, distance, 0.0) * ray.d)
+        return FreeFlight(met, distance, crown, body.quarter(at))
 
     def drawn(self, ray: Jit, until: Jit, active: Jit = True) -> tuple[FreeFlight, Jit]:
         """Return (random FreeFlight of rays, unit normal of the side of the leaf that they meet); both follow from the
@@ -224,7 +236,7 @@ class CrownField:
         surface, first = (
             dr.gather(mi.UInt32, table, flight.crown, flight.met) for table in (self.surface, self.first_face)
         )
-        return surface, first + dr.select(flight.upper, 2, 0) + dr.select(up, mi.UInt32(1), 0)
+        return surface, first + 2 * flight.quarter + dr.select(up, mi.UInt32(1), 0)
 
 
 def field_of(

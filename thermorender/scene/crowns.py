@@ -2,8 +2,9 @@
 
 Leaves of all orientations let the share exp(−G a s) of the light along a path of s [m] through, with a leaf area
 density of a [m²/m³, one side] and G = 1/2 (Ross 1981, doi:10.1007/978-94-009-8647-3). They are thin: both sides have
-the same temperature. The rest of the package sees each crown as a few patches, of one texel each: the lower and the
-upper half, and of each the sides of leaves that face down and up.
+the same temperature. The rest of the package sees each crown as a few patches, of one texel each: its core and its
+shell, of half of the volume each; of both the lower and the upper half; and of each of these quarters the sides of
+leaves that face down and up. Leaves near the surface see more of the sky, and a camera sees them first.
 """
 
 from collections.abc import Mapping
@@ -20,8 +21,8 @@ Floats = NDArray[np.float64]
 
 # Mean projection of leaves of all orientations, per area of one side.
 PROJECTION = 0.5
-# Patches of a crown: 2 × (upper half) + (sides that face up).
-PATCHES = 4
+# Quarters of a crown, 2 × shell + upper, and its patches, 2 × quarter + (sides that face up).
+QUARTERS, PATCHES = 4, 8
 # Least and largest leaf area density [m²/m³]: sparse grass, and more than any clipped hedge.
 DENSITIES = (1e-3, 100.0)
 # Side of a leaf, or of a tuft that sways as one, where nothing is stated [m].
@@ -32,8 +33,9 @@ COLUMNS = {
     **dict.fromkeys(("width_m", "length_m", "height_m"), (1e-2, 1e3, "m")), "leaf_area_1_m": (*DENSITIES, "m²/m³"),
     **dict.fromkeys(("red", "green", "blue"), (0.0, 255.0, "of sRGB")),
 }  # fmt: skip
-# Columns of a table of leaf temperatures: the mean of the leaves in each half, and a leaf there in the sun [K].
-KELVIN = ("lower_k", "upper_k", "lower_sunlit_k", "upper_sunlit_k")
+# Columns of a table of leaf temperatures: the mean of the leaves in each quarter, and a leaf there in the sun [K].
+_NAMES = ("core_lower", "core_upper", "shell_lower", "shell_upper")
+KELVIN = (*(f"{name}_k" for name in _NAMES), *(f"{name}_sunlit_k" for name in _NAMES))
 _SEED = 0x1EAF
 
 
@@ -65,7 +67,7 @@ class Crowns:
     @property
     def area(self) -> Floats:
         """Area of the sides of leaves of each patch, (n × PATCHES,) [m²]."""
-        return np.repeat(0.5 * self.density * self.volume, PATCHES)
+        return np.repeat(self.density * self.volume / QUARTERS, PATCHES)
 
     @property
     def axes(self) -> Floats:
@@ -82,6 +84,7 @@ class Crowns:
         corner = np.array([
             [[x, -1.0, low], [-x, 1.0, low + 1.0], [0.0, 0.0, low + 0.5]] for low in (-1.0, 0.0) for x in (-1.0, 1.0)
         ])  # fmt: skip
+        corner = np.concatenate([corner, corner])
         local = corner * self.half[:, None, None]
         vertices = np.einsum("nij,npkj->npki", self.axes, local) + self.middle[:, None, None]
         vertices = vertices.reshape(-1, 3)
@@ -90,23 +93,33 @@ class Crowns:
     def leaves(self, count: int) -> tuple[Floats, Floats]:
         """Return (points in the unit body, normals) of `count` leaves of each patch, (PATCHES, count, 3) each.
 
-        Points are even over a cube or ball of half-width 1, and normals over the directions of their side.
+        Points are even over the volume of a part of a cube or ball of half-width 1, and normals over the directions of
+        their side.
         """
         from scipy.stats import qmc
 
         # In random order: the directions of rays are Sobol' points too.
         random = np.random.Generator(np.random.Philox(_SEED))
         u = random.permutation(qmc.Sobol(5, seed=random).random(PATCHES * count)).reshape(PATCHES, count, 5)
-        if self.box:
-            point = 2.0 * u[..., :3] - 1.0
-        else:
-            height, turn = 2.0 * u[..., 0] - 1.0, 2.0 * np.pi * u[..., 1]
-            level = np.sqrt(1.0 - height**2)
-            point = np.cbrt(u[..., 2:3]) * np.stack([level * np.cos(turn), level * np.sin(turn), height], axis=-1)
-        turn, level = 2.0 * np.pi * u[..., 3], np.sqrt(1.0 - u[..., 4] ** 2)
-        normal = np.stack([level * np.cos(turn), level * np.sin(turn), u[..., 4]], axis=-1)
         patch = np.arange(PATCHES)
-        point[..., 2] = np.abs(point[..., 2]) * np.where(patch >= 2, 1.0, -1.0)[:, None]
+        # A body of s times the width has s³ of the volume.
+        width = np.cbrt(0.5 * (u[..., 0] + (patch >= QUARTERS)[:, None]))
+        if self.box:
+            point = 2.0 * u[..., 1:4] - 1.0
+            # On a side of the cube: the third number has chosen it, and is even again within that.
+            side = np.minimum((3.0 * u[..., 3]).astype(int), 2)
+            point[..., 2] = 2.0 * (3.0 * u[..., 3] - side) - 1.0
+            place = np.arange(PATCHES)[:, None], np.arange(count), side
+            point[place] = np.where(point[place] < 0.0, -1.0, 1.0)
+        else:
+            height, turn = 2.0 * u[..., 1] - 1.0, 2.0 * np.pi * u[..., 2]
+            level = np.sqrt(1.0 - height**2)
+            point = np.stack([level * np.cos(turn), level * np.sin(turn), height], axis=-1)
+        point = width[..., None] * point
+        point[..., 2] = np.abs(point[..., 2]) * np.where(patch // 2 % 2, 1.0, -1.0)[:, None]
+        height, turn = random.random((2, PATCHES, count))
+        level = np.sqrt(1.0 - height**2)
+        normal = np.stack([level * np.cos(2.0 * np.pi * turn), level * np.sin(2.0 * np.pi * turn), height], axis=-1)
         normal *= np.where(patch % 2, 1.0, -1.0)[:, None, None]
         return point, normal
 
@@ -132,8 +145,8 @@ def placed(surface: Surface, place: Mapping[str, Floats], density_1_m: float, le
         own = np.stack([place[name] for name in ("red", "green", "blue")], axis=-1).round().astype(np.uint8)
     temperature, scatter = np.full(shape, surface.temperature.flat[0]), None
     if KELVIN[0] in place:
-        halves = np.stack([place[name] for name in KELVIN], axis=-1)[:, [0, 0, 1, 1, 2, 2, 3, 3]]
-        mean, sunlit = halves[:, :PATCHES].reshape(-1), halves[:, PATCHES:].reshape(-1)
+        quarters = np.repeat(np.stack([place[name] for name in KELVIN], axis=-1), 2, axis=1)
+        mean, sunlit = quarters[:, :PATCHES].reshape(-1), quarters[:, PATCHES:].reshape(-1)
         temperature = np.resize(mean, shape).astype(np.float32)
         scatter = np.resize(np.maximum(sunlit - mean, 0.0), shape).astype(np.float32)
     return replace(

@@ -30,6 +30,7 @@ from thermorender.render.pixels.sampling import STAGES, CameraRays, contrast, ed
 from thermorender.render.pixels.tracer import SampledImage, Tracer
 from thermorender.render.plan import Plan
 from thermorender.render.reflection import mirrors
+from thermorender.render.spectrum import REFERENCE_K
 from thermorender.render.truth import truth
 
 # The light's error is read at every n-th pixel.
@@ -50,6 +51,9 @@ _WALKED, _POINTS, _WALKS = 256, 8, 16
 _WALKED_SURE = 2.0
 # Largest share of light assumed to be passed on between mirrors.
 _MOST_PASSED = 0.98
+# Error of the light on leaves, relative to what they reflect of the open sky in place of other leaves: the largest mean
+# against leaves drawn one by one.
+_UNRESOLVED = 0.07
 # Smallest predicted error [mK].
 _LEAST_MK = 1.0
 
@@ -201,7 +205,12 @@ def _leaves(
     spread = passed * np.square(own - np.where(valid, solid, outside))
     if outgoing.leaves:
         spread = spread + outgoing.leaves.scatter(sums) ** 2
-    error = np.sqrt((1.0 - passed) * spread * ratio / (1.0 + ratio)) / baked.plan.radiance_per_mk
+    square = (1.0 - passed) * spread * ratio / (1.0 + ratio)
+    # Light on leaves is resolved by parts of a crown and by sides that face up and down.
+    reflects = 1.0 - min(scene.materials[scene.surfaces[k].material.flat[0]].band_emissivity(*band, REFERENCE_K)
+                         for k in field.numbers)  # fmt: skip
+    square += np.square((1.0 - passed) * _UNRESOLVED * reflects * (own - outside.min()))
+    error = np.sqrt(square) / baked.plan.radiance_per_mk
     return np.where(valid | (passed < 1.0), error, np.nan)
 
 

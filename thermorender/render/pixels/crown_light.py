@@ -8,7 +8,7 @@ excess, since those that face the sun are warmest (mean of |n·s||n·v| over all
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import drjit as dr
 import numpy as np
@@ -19,7 +19,7 @@ from thermorender.render.arrays import Channels, Floats, Jit, aligned
 from thermorender.render.geometry import Geometry
 from thermorender.render.plan import Plan
 from thermorender.render.turbid import Chord, CrownField, UnitBody
-from thermorender.scene.crowns import PATCHES
+from thermorender.scene.crowns import PATCHES, QUARTERS
 from thermorender.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -29,8 +29,10 @@ if TYPE_CHECKING:
 _LATTICE = 5
 # Leaves of a patch that give its mean sunlight.
 _LEAVES = 64
-# Height of the mean of a half of a ball and of a cube, in half-heights.
-_MEAN_HEIGHT = 0.375, 0.5
+# Heights of the means of an upper half of the core and of the shell, of a ball and of a cube, in half-heights: those of
+# the whole half are 3/8 and 1/2, and the core has half of the volume.
+_CORE = 0.5 ** (1.0 / 3.0)
+_MEAN_HEIGHTS = tuple((whole * _CORE, whole * (2.0 - _CORE)) for whole in (0.375, 0.5))
 # Points of a chord, by the share of its opacity (Gauss-Legendre).
 _PLACES = 0.2113248654, 0.7886751346
 # Least share of shaded leaves, by which the difference of sunlit and mean leaves is divided.
@@ -48,6 +50,26 @@ class Along:
     channels: list[Jit]  # mean radiance of the leaves seen; 0 without
 
 
+class Place(NamedTuple):
+    """Weights of the quarters of a crown at points, linear in height and in the volume nearer to the middle."""
+
+    shell: Jit
+    core_upper: Jit
+    shell_upper: Jit
+
+    @classmethod
+    def of(cls, body: UnitBody, at: Jit) -> "Place":
+        """Return the Place of points in the frames of crowns; beyond the means of quarters it is extrapolated."""
+        ball, cube = _MEAN_HEIGHTS
+        upper = (0.5 + 0.5 * at.z / dr.select(body.box, b, a) for a, b in zip(ball, cube, strict=True))
+        return cls(2.0 * body.inner(at) - 0.5, *upper)
+
+    def between(self, core_lower: Jit, core_upper: Jit, shell_lower: Jit, shell_upper: Jit) -> Jit:
+        """Return the value at points of values that quarters have in the mean."""
+        core = dr.lerp(core_lower, core_upper, self.core_upper)
+        return dr.lerp(core, dr.lerp(shell_lower, shell_upper, self.shell_upper), self.shell)
+
+
 class SunlitLeaves:
     """The sunlit leaves of a scene's crowns, whose temperatures are solved; `towards` (3,) points to the sun."""
 
@@ -61,11 +83,12 @@ class SunlitLeaves:
         table, first = [], 0
         for number, crowns in zip(field.numbers, field.crowns, strict=True):
             surface, mean = scene.surfaces[number], lit[first : first + len(crowns)]
+            count = PATCHES * len(crowns)
             first += len(crowns)
             # Both sides of a leaf are equally warm.
             warm, warmer = (
-                np.zeros((len(crowns), 2)) if each is None
-                else each.reshape(-1)[: PATCHES * len(crowns)].reshape(-1, 2, 2).mean(axis=2).astype(np.float64)
+                np.zeros((len(crowns), QUARTERS)) if each is None
+                else each.reshape(-1)[:count].reshape(-1, QUARTERS, 2).mean(axis=2).astype(np.float64)
                 for each in (surface.temperature, surface.scatter_k)
             )  # fmt: skip
             contrast = warmer / np.maximum(1.0 - mean, _LEAST_SHADED)
@@ -75,7 +98,8 @@ class SunlitLeaves:
             more = [np.interp(shaded + contrast, grid, each) - np.interp(shaded, grid, each) for each in of.T]
             table.append(np.concatenate([mean, *more], axis=1))
         whole = np.concatenate(table)
-        self._halves, self._largest = Channels(mi, whole), np.abs(whole[:, 2:]).max(axis=0).reshape(-1, 2).max(axis=1)
+        self._quarters = Channels(mi, whole)
+        self._largest = np.abs(whole[:, QUARTERS:]).max(axis=0).reshape(-1, QUARTERS).max(axis=1)
 
     def _lattice(self, field: CrownField) -> NDArray[np.float32]:
         """Share of sunlight that other things than the own crown pass, (n × _LATTICE³,), the last axis fastest."""
@@ -89,17 +113,17 @@ class SunlitLeaves:
         return np.concatenate(found)
 
     def _means(self, field: CrownField) -> Floats:
-        """Mean share of sunlit leaves in the lower and the upper half of each crown, (n, 2)."""
+        """Mean share of sunlit leaves in the quarters of each crown, (n, QUARTERS)."""
         found = []
         for crowns, (crown, point) in zip(field.crowns, self._points(field), strict=True):
             frame = field.frame(crown)
             share = np.array(self._share(crown, frame, frame.point(point), True), np.float64)
-            found.append(share.reshape(len(crowns), 2, _LEAVES).mean(axis=2))
+            found.append(share.reshape(len(crowns), QUARTERS, _LEAVES).mean(axis=2))
         return np.concatenate(found)
 
     def _points(self, field: CrownField, unit: Floats | None = None) -> Iterator[tuple[Jit, Jit]]:
         """Yield (numbers of crowns, points), one after another crown: points `unit` (m, 3) in their frames, or leaves,
-        first of the lower half."""
+        one quarter after another."""
         mi, first = self._mi, 0
         for crowns in field.crowns:
             # Sides that face up and down are those of the same leaves.
@@ -140,15 +164,16 @@ class SunlitLeaves:
         angle = dr.safe_acos(cosine)
         return 8.0 / (3.0 * np.pi) * (dr.safe_sqrt(1.0 - cosine * cosine) + (0.5 * np.pi - angle) * cosine)
 
-    def halves(self, chord: Chord) -> list[Jit]:
+    def quarters(self, chord: Chord) -> list[Jit]:
         """Return what `added` needs of the crowns of chords."""
-        return self._halves.at(chord.crown, chord.new)
+        return self._quarters.at(chord.crown, chord.new)
 
-    def added(self, chord: Chord, halves: list[Jit], at: Jit, height: Jit, phase: Jit) -> list[Jit]:
-        """Return what the sunlit leaves at points of chords add to the mean of leaves at their height, [Float]."""
-        low, high, *more = halves
-        excess = phase * self._share(chord.crown, chord.frame, at, chord.new) - (low + height * (high - low))
-        return [excess * (a + height * (b - a)) for a, b in zip(more[::2], more[1::2], strict=True)]
+    def added(self, chord: Chord, quarters: list[Jit], at: Jit, place: "Place", phase: Jit) -> list[Jit]:
+        """Return what the sunlit leaves at points of chords add to the mean of leaves at their place, [Float]."""
+        parts = [quarters[k : k + QUARTERS] for k in range(0, len(quarters), QUARTERS)]
+        mean, *more = (place.between(*part) for part in parts)
+        excess = phase * self._share(chord.crown, chord.frame, at, chord.new) - mean
+        return [excess * each for each in more]
 
 
 def sunlit_leaves(scene: Scene, plan: Plan, geometry: Geometry) -> SunlitLeaves | None:
@@ -167,25 +192,28 @@ def along(geometry: Geometry, outgoing: "OutgoingRadiance", ray: Jit, until: Jit
     field, mi, leaves = geometry.crowns, geometry.mi, outgoing.leaves
     assert field is not None
     phase = leaves.phase(ray.d) if leaves else None
-    up = 0.5 - 0.5 * ray.d.z
+    # Sides that are seen face the camera, and see more of what is behind it than others: where light is linear in the
+    # direction, their mean is 4/9 of its change to the mean of all, against 1/3 of sides that face up.
+    up = 0.5 - 2.0 / 3.0 * ray.d.z
     tables = _tables(geometry, field, outgoing)
 
     def visit(chord: Chord, state: tuple[Jit, ...]) -> tuple[Jit, tuple[Jit, ...]]:
         passed, distance, *total = state
         lost = dr.select(chord.new, 1.0 - dr.exp(-chord.depth), 0.0)
-        sides = [dr.gather(mi.Vector4f, table, chord.crown, chord.new) for table in tables]
-        ends = [(dr.lerp(each.x, each.y, up), dr.lerp(each.z, each.w, up)) for each in sides]
-        halves = leaves.halves(chord) if leaves else []
-        per_height = dr.select(chord.frame.box, *(0.5 / each for each in reversed(_MEAN_HEIGHT)))
+        quarters = []
+        for table in tables:
+            core, shell = (dr.gather(mi.Vector4f, table, 2 * chord.crown + k, chord.new) for k in (0, 1))
+            quarters.append([dr.lerp(*each, up) for part in (core, shell) for each in (part.xy, part.zw)])
+        warmer = leaves.quarters(chord) if leaves else []
         weight = 0.5 * passed * lost
         for place in _PLACES:
             depth = -dr.log(dr.maximum(1.0 - place * lost, 1e-7))
             length = dr.select(chord.new, chord.start + depth / chord.frame.extinction, 0.0)
             at = chord.at + length * chord.way
-            height = 0.5 + per_height * at.z
-            values = [a + height * (b - a) for a, b in ends]
+            where = Place.of(chord.frame, at)
+            values = [where.between(*each) for each in quarters]
             if leaves:
-                more = leaves.added(chord, halves, at, height, phase)
+                more = leaves.added(chord, warmer, at, where, phase)
                 values = [a + b for a, b in zip(values, more, strict=True)]
             total = [t + dr.select(chord.new, weight * value, 0.0) for t, value in zip(total, values, strict=True)]
             distance = distance + weight * length

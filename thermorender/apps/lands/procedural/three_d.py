@@ -33,7 +33,7 @@ from thermorender.render.from_above import from_above
 from thermorender.render.geometry import Geometry
 from thermorender.render.heat.simulation import solved
 from thermorender.render.variant import activate
-from thermorender.scene.crowns import PATCHES, Crowns
+from thermorender.scene.crowns import PATCHES, QUARTERS, Crowns
 from thermorender.scene.deviations import Deviations
 from thermorender.scene.ground import Ground
 from thermorender.scene.raster import Grid, lon_lat
@@ -254,7 +254,7 @@ def _lit(loaded: Scene, geometry: Geometry, meshes: list[TexturedMesh], world: W
 def _true_kelvin(
     loaded: Scene, geometry: Geometry, world: World, progress: Progress | None
 ) -> tuple[dict[str, NDArray[np.float32]], dict[str, float], dict[str, NDArray[np.float64]]]:
-    """({mesh: (h, w) [K]}, {object: [K]}, {object of crowns: (n, 4) columns of KELVIN}): the true temperatures, from
+    """({mesh: (h, w) [K]}, {object: [K]}, {object of crowns: (n, 8) columns of KELVIN}): the true temperatures, from
     drawn properties as in 2.5-D, and mean ones of solid objects.
     """
     assert loaded.time is not None
@@ -276,15 +276,15 @@ def _true_kelvin(
         if isinstance(surface.instances, Crowns):
             assert surface.scatter_k is not None
             count = PATCHES * len(surface.instances)
-            mean, more = (each.reshape(-1)[:count].reshape(-1, 2, 2).mean(axis=2)
+            mean, more = (each.reshape(-1)[:count].reshape(-1, QUARTERS, 2).mean(axis=2)
                           for each in (surface.temperature, surface.scatter_k))  # fmt: skip
             leaves[surface.name.split(":")[0]] = np.column_stack([mean, mean + more]).astype(np.float64)
     return _split(loaded, kelvin), _seen_k(found), leaves
 
 
 def _texels(kelvin: NDArray[np.float64], crowns: Surface) -> NDArray[np.float64]:
-    """Mean temperatures of leaves, (n, 4) columns of KELVIN, on the texels of crowns."""
-    return np.resize(np.repeat(kelvin[:, :2], 2, axis=1).reshape(-1), crowns.material.size)
+    """Mean temperatures of leaves, (n, 8) columns of KELVIN, on the texels of crowns."""
+    return np.resize(np.repeat(kelvin[:, :QUARTERS], 2, axis=1).reshape(-1), crowns.material.size)
 
 
 def _seen_k(scene: Scene) -> dict[str, float]:

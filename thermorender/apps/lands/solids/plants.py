@@ -65,7 +65,7 @@ class Bodies:
     shape: str  # Of an object in a scene file
     material: str
     rows: list[Floats] = field(default_factory=list)  # (n, len(_COLUMNS)) each
-    kelvin: NDArray[Any] | None = None  # (n, 4) columns of KELVIN
+    kelvin: NDArray[Any] | None = None  # (n, 8) columns of KELVIN
 
     @property
     def name(self) -> str:
@@ -176,7 +176,7 @@ def write_bodies(
         write_text(folder / file, _csv(_COLUMNS, rows, "%.2f,%.2f,%.2f,%.2f,%.2f,%.2f,%.0f,%.3f,%.0f,%.0f,%.0f"))
         if bodies.kelvin is not None:
             warm = f"{_FOLDER}/{bodies.name}_kelvin.csv"
-            write_text(folder / warm, _csv(KELVIN, bodies.kelvin, "%.2f,%.2f,%.2f,%.2f"))
+            write_text(folder / warm, _csv(KELVIN, bodies.kelvin, ",".join(["%.2f"] * len(KELVIN))))
         tables.append({
             "name": bodies.name, "shape": bodies.shape, "instances": file, "position": [0.0, 0.0, 0.0],
             "leaf_area_1_m": DENSITY, "temperature": warm, "material": bodies.material,
