@@ -55,6 +55,8 @@ def test_size_density_and_colour_of_the_object_are_those_of_a_table_without_them
     np.testing.assert_allclose(body.middle, [[0, 0, 3.5], [2, 1, 7.25]])
     np.testing.assert_allclose(body.density, 0.7)
     assert body.box and (surface.colour == [9, 8, 7]).all()
+    (folder / "trees.csv").write_text("east_m,north_m,green\n0,0,50\n")
+    assert (tr.load_scene(folder).surfaces[1].colour == [9, 50, 7]).all()
 
 
 def test_an_object_without_a_table_is_one_crown(tmp_path):

@@ -22,7 +22,7 @@ STATION = "time,air_c\n" + "".join(
 
 
 def planted():
-    """Heights of the ground and the surface [m], and the trees' (east, north, radius, height, top of the rough crown)."""
+    """Heights of ground and surface [m], and the trees' (east, north, radius, height, top of the rough crown)."""
     random = np.random.default_rng(7)
     row, column = np.mgrid[:SIDE, :SIDE] + 0.5
     ground = 40.0 + 0.02 * column
@@ -97,7 +97,7 @@ def test_crowns_without_a_weather_have_the_temperature_of_the_ground(wood):
     folder, _, _ = wood
     import_wood(folder, "plain")
     scene = tr.load_scene(folder / "plain")
-    surface, body = crowns_of(scene)
+    surface, _ = crowns_of(scene)
     assert len(np.unique(surface.temperature)) == 1
     assert surface.temperature.flat[0] == scene.surfaces[0].temperature.flat[0]
 
