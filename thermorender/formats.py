@@ -195,14 +195,21 @@ def write_image(path: PathLike, image: np.ndarray) -> None:
         part.write_bytes(encoded_image(Path(path).suffix, image))
 
 
-def encoded_image(suffix: str, image: np.ndarray) -> bytes:
-    """Return the bytes of a file that `write_image` writes."""
+def encoded_image(suffix: str, image: np.ndarray, quality: int | None = None) -> bytes:
+    """Return the bytes of a file that `write_image` writes; `quality` of a JPEG, with colours as fine as light."""
     import cv2
     import numpy as np
 
     ordered = image[..., ::-1] if image.ndim == 3 else image
     # Deflate, which every reader of TIFF decodes; OpenCV's own choice is LZW.
     how = [cv2.IMWRITE_TIFF_COMPRESSION, cv2.IMWRITE_TIFF_COMPRESSION_ADOBE_DEFLATE] if "tif" in suffix.lower() else []
+    if quality is not None:
+        how = [
+            cv2.IMWRITE_JPEG_QUALITY,
+            quality,
+            cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
+            cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
+        ]
     encoded, data = cv2.imencode(suffix, np.ascontiguousarray(ordered), how)
     if not encoded:
         raise OSError(f"OpenCV cannot encode a {image.dtype} image")

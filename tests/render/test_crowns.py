@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 import thermorender as tr
-from scenes import coarse, scene_object, write_terrain
+from scenes import WEATHER, coarse, scene_object, write_balance, write_terrain
+from thermorender.apps.lands.solids.plants import write_leaf_tables
+from thermorender.physics.sun import direction
 from thermorender.render.geometry import Geometry
+from thermorender.render.heat.copies import Copies
 from thermorender.render.light import radiosity
 from thermorender.render.variant import activate
 
@@ -136,3 +139,87 @@ def test_sky_below_a_wide_crown_is_that_of_a_turbid_layer(tmp_path):
     sky = traced.sky[ground].sum(axis=1)
     expected = 2.0 * expn(3, 0.5 * 0.8 * 2.0)
     assert sky.mean() == pytest.approx(expected, abs=4.0 * sky.std() / np.sqrt(len(sky)) + 0.002)
+
+
+CROP = scene_object(
+    "crop", shape="box", instances="crop.csv", leaf_area_1_m=0.8, material="broadleaf", temperature="balance"
+)
+
+
+@pytest.fixture(scope="module")
+def crop(tmp_path_factory):
+    """A solved scene of a crop that is 2 m high and 400 m wide, so that its middle is that of a layer."""
+    folder = tmp_path_factory.mktemp("crop") / "s"
+    folder.mkdir()
+    (folder / "crop.csv").write_text("east_m,north_m,above_ground_m,width_m,length_m,height_m\n0,0,0.5,400,400,2\n")
+    write_leaf_tables(folder)
+    scene = tr.load_scene(write_balance(folder, extra=WEATHER + CROP))
+    return tr.Renderer(scene, "fast")
+
+
+def test_sun_on_the_leaves_of_a_layer_is_what_it_intercepts(crop):
+    scene, depth = crop.scene, 0.5 * 0.8 * 2.0
+    _, elevation = scene.weather.sun(scene.time)
+    x = depth / np.sin(np.radians(float(elevation)))
+    # The share of leaves in the sun falls by Beer's law from the top; halves of the layer are the halves of a crown.
+    edges = np.exp(-x * np.array([1.0, 0.5, 0.0]))
+    expected = np.diff(edges) / (0.5 * x)
+    found = crop.baked.device.static_outgoing.leaves._means(crop.baked.geometry.crowns)[0]
+    np.testing.assert_allclose(found, expected, atol=0.01)
+    # Those of the heat balance, from other points: cosines of the sun on leaves are half of these shares.
+    towards = direction(float(elevation), float(scene.weather.sun(scene.time)[0]))
+    copies = Copies(crop.baked.geometry, range(1, 2), 1, lambda at_s: towards)
+    mean, spread = copies._tested(0.0)
+    np.testing.assert_allclose(mean, 0.5 * np.repeat(expected, 2), atol=0.02)
+    np.testing.assert_allclose(mean + spread, 0.5, rtol=1e-6)
+
+
+def test_both_sides_of_leaves_have_one_temperature_and_sunlit_ones_are_warmer(crop):
+    leaves = crop.scene.surfaces[1]
+    kelvin, warmer = leaves.temperature.reshape(-1)[:4], leaves.scatter_k.reshape(-1)[:4]
+    assert kelvin[0] == kelvin[1] and kelvin[2] == kelvin[3]
+    assert (warmer > 0.1).all() and warmer[0] > warmer[2]
+
+
+def test_excess_of_sunlit_leaves_has_its_mean_over_all_directions(crop):
+    mi, leaves = activate(), crop.baked.device.static_outgoing.leaves
+    way = np.random.default_rng(1).standard_normal((200_000, 3))
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    found = np.array(leaves.phase(mi.Vector3f(*map(mi.Float, way.T))))
+    assert found.mean() == pytest.approx(1.0, abs=4.0 * found.std() / np.sqrt(len(way)))
+    # Against a sum over normals of leaves, seen along the sun and across it.
+    towards = np.array([float(axis[0]) for axis in leaves._towards])
+    normal = way
+    for view in (towards, np.cross(towards, [0.0, 0.0, 1.0]) / np.linalg.norm(np.cross(towards, [0.0, 0.0, 1.0]))):
+        seen = np.abs(normal @ view)
+        expected = (seen * 2.0 * np.abs(normal @ towards)).sum() / seen.sum()
+        one = np.array(leaves.phase(mi.Vector3f(*map(mi.Float, view[:, None]))))[0]
+        assert one == pytest.approx(expected, abs=0.01)
+
+
+def test_leaves_before_the_sky_are_no_background(tmp_path):
+    scene = tr.load_scene(write_crowns(tmp_path / "s", sky=230.0))
+    frame = tr.Renderer(coarse(scene, 8), "fast").frame(tr.pose(-3.0, -9.0, 2.4))
+    crown = frame.truth["object"] == 1
+    above = crown & (np.arange(len(crown))[:, None] < len(crown) // 2)
+    assert above.sum() > 20
+    assert np.isfinite(frame.error_mk[above]).all() and (frame.truth["depth"][above] < 12.0).all()
+
+
+def test_water_shows_crowns_as_it_shows_solid_bodies(tmp_path):
+    # 2 m above a lake: many leaves, which are opaque, against a solid box of their material and temperature.
+    shown = []
+    for name, more in (("leaves", {"leaf_area_1_m": 60.0}), ("solid", {})):
+        roof = scene_object("roof", [14.0, 14.0, 2.0], [0.0, 0.0, 2.0], 310.0, "broadleaf", shape="box", **more)
+        folder = write_terrain(tmp_path / name, extra=roof, classes=np.full((32, 32), 1), sky=220.0)
+        toml = (folder / "scene.toml").read_text().replace('1 = "grass_green"', '1 = "water_fresnel"')
+        (folder / "scene.toml").write_text(toml)
+        renderer = tr.Renderer(coarse(tr.load_scene(folder), 8), "fast", rays=1024)
+        assert renderer.plan.specular
+        frame = renderer.frame(tr.pose(0.0, -14.0, 1.4, pitch_deg=-8.0))
+        water = (frame.truth["object"] == 0) & (frame.truth["depth"] < 16.0) & (frame.truth["depth"] > 9.0)
+        shown.append(frame.apparent_temperature[water])
+    assert shown[0].shape == shown[1].shape and shown[0].size > 100
+    assert abs(shown[0].mean() - shown[1].mean()) < 0.1
+    # At the edge of its image the box is soft.
+    assert np.quantile(np.abs(shown[0] - shown[1]), 0.9) < 0.5

@@ -31,7 +31,7 @@ def write(folder, **keys):
 def test_each_face_has_a_texel_although_the_texture_is_shared(tmp_path):
     van = tr.load_scene(write(tmp_path / "s", file="m.obj")).surfaces[1]
     texel = (van.uv[:, 0].astype(np.float64) * van.flags.shape[::-1]).astype(int)
-    assert len(np.unique(texel, axis=0)) == len(van.faces) > 500
+    assert len(np.unique(texel, axis=0)) == len(van.faces) > 20
     assert (van.uv == van.uv[:, :1]).all()
     assert (van.colour == (60, 110, 40)).all()
     assert np.isnan(van.temperature).all()

@@ -101,11 +101,15 @@ class Geometry:
 
     def cast(self, ray: Jit, coherent: bool = False, active: Jit = True) -> Hit:
         """Return the Hit of rays (an mi.Ray3f); inactive ones miss. In crowns they end at a random leaf."""
-        hit = self.hit_of(self.caster.ray_intersect_preliminary(ray, coherent=coherent, active=active))
+        hit = self.cast_solid(ray, coherent, active)
         if self.crowns is None:
             return hit
         flight, normal = self.crowns.drawn(ray, hit.distance, active)
         return self._in_crowns(hit, flight, normal.z > 0.0)
+
+    def cast_solid(self, ray: Jit, coherent: bool = False, active: Jit = True) -> Hit:
+        """Return the Hit of rays as of `cast`, which pass all crowns."""
+        return self.hit_of(self.caster.ray_intersect_preliminary(ray, coherent=coherent, active=active))
 
     def cast_with_normal(self, ray: Jit, active: Jit = True, leaves: bool = True) -> tuple[Hit, Jit]:
         """Return (Hit of rays, unit normal of what they meet, Vector3f); inactive rays miss. Without `leaves` they pass
@@ -118,8 +122,8 @@ class Geometry:
         flight, side = self.crowns.drawn(ray, hit.distance, active)
         return self._in_crowns(hit, flight, side.z > 0.0), dr.select(flight.met, side, normal)
 
-    def _in_crowns(self, hit: Hit, flight: turbid.Flight, up: Jit) -> Hit:
-        """The Hit of rays that end at leaves where their Flight meets one."""
+    def _in_crowns(self, hit: Hit, flight: turbid.FreeFlight, up: Jit) -> Hit:
+        """The Hit of rays that end at leaves where their FreeFlight meets one."""
         assert self.crowns is not None
         surface, face = self.crowns.face(flight, up)
         return Hit(
@@ -169,7 +173,7 @@ class Geometry:
     def seen_through(self, ray: Jit) -> Hit:
         """Return the Hit of a view's rays (an mi.Ray3f) that pass all crowns. Embree returns distance 0 for a camera on
         a surface and for a ray in the plane of a triangle; such rays are cast again, offset by `hair`."""
-        hit = self.hit_of(self.caster.ray_intersect_preliminary(ray, coherent=True))
+        hit = self.cast_solid(ray, coherent=True)
         touches = hit.valid & (hit.distance <= 0.0)
         # Opaque: a literal would compile the kernel again for each scene.
         aside = dr.opaque(self.mi.Float, self.hair) * self.mi.Vector3f(*_ASIDE)

@@ -28,7 +28,7 @@ _LARGER = 0.02
 _GOLDEN = 0.6180339887498949
 
 
-class Flight(NamedTuple):
+class FreeFlight(NamedTuple):
     """Where rays meet leaves."""
 
     met: Jit  # Bool
@@ -37,7 +37,7 @@ class Flight(NamedTuple):
     upper: Jit  # Bool, in the upper half of the crown
 
 
-class Frame(NamedTuple):
+class UnitBody(NamedTuple):
     """The frames of crowns in which they are a unit ball or cube."""
 
     middle: Jit  # Vector3f [m]
@@ -75,7 +75,7 @@ class Chord(NamedTuple):
     """A ray's path in a crown."""
 
     crown: Jit  # UInt32; 0 where inactive
-    frame: Frame
+    frame: UnitBody
     at: Jit  # Vector3f, origin of the ray in the frame
     way: Jit  # Vector3f, its direction there
     start: Jit  # distance of its begin [m]
@@ -124,15 +124,16 @@ class CrownField:
         )]  # fmt: skip
         self.surface, self.first_face, self.first_texel = (mi.UInt32(aligned(each, np.uint32)) for each in per)
         self._hair = dr.opaque(mi.Float, hair)
+        self.leaf_m = max(crowns.leaf_m for _, crowns in own)
         self.crowns, self.numbers = every, [k for k, _ in own]
 
-    def frame(self, crown: Jit, active: Jit = True) -> Frame:
-        """Return the Frame of crowns."""
+    def frame(self, crown: Jit, active: Jit = True) -> UnitBody:
+        """Return the UnitBody of crowns."""
         mi = self._mi
         middle, half = (dr.gather(mi.Vector4f, table, crown, active) for table in (self._middle, self._half))
         turn = dr.gather(mi.Vector2f, self._turn, crown, active)
         place, scale = (mi.Vector3f(each.x, each.y, each.z) for each in (middle, half))
-        return Frame(place, scale, turn, middle.w, half.w > 0.5)
+        return UnitBody(place, scale, turn, middle.w, half.w > 0.5)
 
     def walk(
         self, ray: Jit, until: Jit, active: Jit, state: tuple[Jit, ...],
@@ -183,8 +184,8 @@ class CrownField:
         (depth,) = self.walk(ray, until, active, (dr.zeros(self._mi.Float, dr.width(ray.d)),), visit, coherent)
         return dr.exp(-depth)
 
-    def flight(self, ray: Jit, until: Jit, depth: Jit, active: Jit = True, coherent: bool = False) -> Flight:
-        """Return the Flight of rays to an optical depth, before `until` [m]."""
+    def flight(self, ray: Jit, until: Jit, depth: Jit, active: Jit = True, coherent: bool = False) -> FreeFlight:
+        """Return the FreeFlight of rays to an optical depth, before `until` [m]."""
         mi = self._mi
 
         def visit(chord: Chord, state: tuple[Jit, ...]) -> tuple[Jit, tuple[Jit, ...]]:
@@ -200,10 +201,10 @@ class CrownField:
             begin = (dr.zeros(mi.Float, width) + depth, *begin[1:])
         _, met, distance, crown = self.walk(ray, until, active, begin, visit, coherent)
         at = self.frame(crown, met).point(ray.o + dr.select(met, distance, 0.0) * ray.d)
-        return Flight(met, distance, crown, at.z >= 0.0)
+        return FreeFlight(met, distance, crown, at.z >= 0.0)
 
-    def drawn(self, ray: Jit, until: Jit, active: Jit = True) -> tuple[Flight, Jit]:
-        """Return (random Flight of rays, unit normal of the side of the leaf that they meet); both follow from the
+    def drawn(self, ray: Jit, until: Jit, active: Jit = True) -> tuple[FreeFlight, Jit]:
+        """Return (random FreeFlight of rays, unit normal of the side of the leaf that they meet); both follow from the
         ray alone."""
         mi = self._mi
         bits = [dr.reinterpret_array(mi.UInt32, each) for each in (*ray.o, *ray.d)]
@@ -217,8 +218,8 @@ class CrownField:
         normal = mi.Frame3f(-ray.d).to_world(mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[1], u[2])))
         return flight, normal
 
-    def face(self, flight: Flight, up: Jit) -> tuple[Jit, Jit]:
-        """Return (surface, face) of the patches that a Flight meets; `up` is whether the side of the leaf faces up."""
+    def face(self, flight: FreeFlight, up: Jit) -> tuple[Jit, Jit]:
+        """Return (surface, face) of the patches that a FreeFlight meets; `up`: the side of the leaf faces up."""
         mi = self._mi
         surface, first = (
             dr.gather(mi.UInt32, table, flight.crown, flight.met) for table in (self.surface, self.first_face)

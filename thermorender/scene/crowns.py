@@ -8,15 +8,13 @@ upper half, and of each the sides of leaves that face down and up.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.errors import ThermorenderError
 from thermorender.scene.meshes.mesh import one_texel_each
-from thermorender.scene.surface import Surface, scene_kelvin
+from thermorender.scene.surface import Surface
 
 Floats = NDArray[np.float64]
 
@@ -26,6 +24,8 @@ PROJECTION = 0.5
 PATCHES = 4
 # Least and largest leaf area density [m²/m³]: sparse grass, and more than any clipped hedge.
 DENSITIES = (1e-3, 100.0)
+# Side of a leaf, or of a tuft that sways as one, where nothing is stated [m].
+LEAF_M = 0.1
 # Further columns of a table of crowns: least and largest value, and unit.
 COLUMNS = {
     "up_m": (-1e5, 1e5, "m in the local frame, instead of above_ground_m"),
@@ -46,6 +46,7 @@ class Crowns:
     half: Floats  # (n, 3) float64 half of the extents along the body's own axes [m]
     yaw_deg: Floats  # (n,) float64 heading of the y axis, clockwise from north
     density: Floats  # (n,) float64 area of one side of leaves per volume [m²/m³]
+    leaf_m: float = LEAF_M  # Side of a leaf, which the stated error depends on [m]
 
     patches: ClassVar[int] = PATCHES
 
@@ -110,21 +111,7 @@ class Crowns:
         return point, normal
 
 
-def read_kelvin(path: Path, rows: int) -> dict[str, Floats]:
-    """Return {column of KELVIN: (n,)} of a table of leaf temperatures, with a row for each crown."""
-    from thermorender.scene.tracks import read_columns
-
-    columns, numbers = read_columns(path, KELVIN, ())
-    if len(numbers) != rows:
-        raise ThermorenderError(
-            f"{path} has {len(numbers)} rows of temperatures for {rows} crowns; give one for each row of instances"
-        )
-    for name, values in columns.items():
-        scene_kelvin(f"{path}: {name}", values)
-    return columns
-
-
-def placed(surface: Surface, place: Mapping[str, Floats], density_1_m: float) -> Surface:
+def placed(surface: Surface, place: Mapping[str, Floats], density_1_m: float, leaf_m: float = LEAF_M) -> Surface:
     """Return the Surface of crowns of the shape of `surface`, a box or ellipsoid on its base at the origin.
 
     `place` is {"position": (n, 3) of their bases [m], "yaw_deg": (n,), "scale": (n,)}, and may have "width_m",
@@ -137,7 +124,7 @@ def placed(surface: Surface, place: Mapping[str, Floats], density_1_m: float) ->
     half = 0.5 * place["scale"][:, None] * size
     middle = place["position"] + half * [0.0, 0.0, 1.0]
     density = place.get("leaf_area_1_m", np.full(count, density_1_m))
-    crowns = Crowns(surface.name.endswith(":box"), middle, half, place["yaw_deg"], density)
+    crowns = Crowns(surface.name.endswith(":box"), middle, half, place["yaw_deg"], density, leaf_m)
     vertices, faces = crowns.stand_ins()
     uv, shape = one_texel_each(len(faces))
     bands = zip(("red", "green", "blue"), surface.colour[0, 0], strict=True)

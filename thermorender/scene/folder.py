@@ -14,7 +14,7 @@ from thermorender.materials import library as material_tables
 from thermorender.materials.material import Material
 from thermorender.physics.geodesy import FARTHEST_M, LocalFrame
 from thermorender.scene import map_view, terrain
-from thermorender.scene.crowns import COLUMNS, read_kelvin
+from thermorender.scene.crowns import COLUMNS, KELVIN
 from thermorender.scene.georeference import place_of
 from thermorender.scene.instances import read_places
 from thermorender.scene.map_view import MapView
@@ -23,9 +23,9 @@ from thermorender.scene.meshes.axes import object_doubts, terrain_doubts, vector
 from thermorender.scene.orthophoto import read_colour
 from thermorender.scene.raster import Grid, bounds_in, grid_of, on_map, onto, read_classes
 from thermorender.scene.spec import ObjectSpec, SceneSpec
-from thermorender.scene.surface import FILLED, SURFACE, Surface
+from thermorender.scene.surface import FILLED, SURFACE, Surface, scene_kelvin
 from thermorender.scene.textures import Texture, areas, named, onto_texels, stating, texel_size_m
-from thermorender.scene.tracks import TrackedObject, read_track
+from thermorender.scene.tracks import TrackedObject, read_columns, read_track
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,9 +250,21 @@ def _object(item: ObjectSpec, folder: Path, where: str) -> TrackedObject:
         places = dict.fromkeys(("east_m", "north_m", "above_ground_m", "yaw_deg"), np.zeros(1)) | {"scale": np.ones(1)}
     if isinstance(item.temperature, Path):
         assert places is not None
-        places |= read_kelvin(item.temperature, len(places["scale"]))
+        places |= _leaf_kelvin(item.temperature, len(places["scale"]))
     inner = _inner_shares(item, surfaces, [Texture(part.names) for part in parts], where)
     return TrackedObject(item, surfaces, lift, time_s, columns, places, inner)
+
+
+def _leaf_kelvin(path: Path, rows: int) -> dict[str, NDArray[np.float64]]:
+    """{column of KELVIN: (n,)} of a table of leaf temperatures, with a row for each crown."""
+    columns, numbers = read_columns(path, KELVIN, ())
+    if len(numbers) != rows:
+        raise ThermorenderError(
+            f"{path} has {len(numbers)} rows of temperatures for {rows} crowns; give one for each row of instances"
+        )
+    for name, values in columns.items():
+        scene_kelvin(f"{path}: {name}", values)
+    return columns
 
 
 def _inner_shares(

@@ -4,7 +4,7 @@ Light changes within a fraction of the size of an object beside it, and from foo
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,18 +12,19 @@ from numpy.typing import NDArray
 from thermorender.scene.surface import Surface
 
 _Floats = NDArray[np.float64]
-# Lowest and highest corner of a box (3,) each [m].
-_Box = tuple[_Floats, _Floats]
 
-# Longest edge of a triangle on and around an object, and margin around it, as shares of the object's extent.
-_EDGE_SHARE = 1.0 / 16.0
-_MARGIN_SHARE = 0.25
+# Longest edge of a triangle beside an object, as a share of the object's extent. It grows with the distance from the
+# object's box by _GROWTH, since light changes the more slowly the farther away its source is.
+_EDGE_SHARE, _GROWTH = 1.0 / 16.0, 0.5
+# Longest edge of a triangle of an object that no body rises before, as a share of its own extent.
+_OWN_SHARE = 1.0 / 4.0
 # Triangles that may be added to all objects together. Where the shares above would add more, the shortest edges are
 # lengthened first: small objects among many are cut less, and large ones beside them as before.
-_MOST_ON_OBJECTS = 1 << 16
-# A triangle is cut into at most the square of this many equal ones. A longer one is first quartered repeatedly, and
-# only the quarters beside the object are cut further: a small spot does not cut a whole plain finely.
-_EQUAL_PARTS = 8
+_MOST_ON_OBJECTS = 1 << 15
+# Distance at which bodies touch, as a share of the longest edge at a body.
+_TOUCH = 0.1
+# Triangles by halving, as a multiple of the product of length and height in longest edges: halving overshoots.
+_PARTS = 3.0
 # Triangles added by cutting the largest ones: this share of all, at least the number.
 _MORE_SHARE, _MORE = 0.2, 1000
 # Only triangles larger than this many times the surface's typical area count as large.
@@ -34,21 +35,34 @@ _CUTS = {
     2: ((3, 1, 4), (0, 3, 4), (0, 4, 2)),
     3: ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)),
 }
+# Evenly spread directions in which an object's outermost corners are kept.
+_DIRECTIONS = 64
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """What lights triangles beside it."""
+
+    low: _Floats  # (3,) lowest corner of its box [m]
+    high: _Floats  # (3,)
+    outermost: _Floats  # (n, 3) its outermost corners [m]
+    planes: tuple[_Floats, _Floats] | None  # Normals (k, 3) and offsets (k,) of a closed convex body; None: other
+    edge: float  # Longest edge of a triangle at it [m]
 
 
 def refined(
     terrain: Sequence[Surface], objects: Sequence[Surface], beside: Sequence[Surface] = ()
 ) -> tuple[list[Surface], list[Surface]]:
-    """Return (terrain, objects) with the same shapes and smaller triangles.
+    """Return (terrain, objects) with the same shapes and smaller triangles: longest edges are halved conformingly.
 
-    No edge is longer than 1/16 of the extent of the object that a triangle belongs to or is beside, or than an edge
-    that keeps the number of triangles bounded. What is only `beside` the terrain refines it and is not returned.
+    Where an object rises before a triangle, no edge is longer than 1/16 of its extent, or half of the distance from it;
+    on an object, than 1/4 of its own extent. Longer edges are allowed where the number of triangles would be too large.
+    What is only `beside` the terrain refines it and is not returned.
     """
     least = _least_edge(objects)
-    around = [(_box(item), max(_EDGE_SHARE * _extent(item), least)) for item in (*objects, *beside)]
-    return [_finer(surface, around) for surface in terrain], [
-        _split(item, np.full(len(item.faces), edge), _longest(item.vertices[item.faces]))
-        for item, (_, edge) in zip(objects, around, strict=False)
+    bodies = [_body(item, max(_EDGE_SHARE * _extent(item), least)) for item in (*objects, *beside)]
+    return [_finer(surface, np.inf, bodies) for surface in terrain], [
+        _finer(item, max(_OWN_SHARE * _extent(item), least), bodies[: len(objects)]) for item in objects
     ]
 
 
@@ -139,10 +153,12 @@ def _least_edge(objects: Sequence[Surface]) -> float:
     if not objects:
         return 0.0
     longest = np.concatenate([_longest(item.vertices[item.faces]) for item in objects])
+    height = 2.0 * np.concatenate([_area(item, item.faces) for item in objects]) / np.maximum(longest, 1e-300)
     own = np.repeat([_EDGE_SHARE * _extent(item) for item in objects], [len(item.faces) for item in objects])
 
     def added(edge: float) -> float:
-        return float((np.ceil(longest / np.maximum(own, edge) - 1e-9).clip(1.0) ** 2 - 1.0).sum())
+        most = np.maximum(own, edge)
+        return float(np.where(longest > most, _PARTS * longest * np.maximum(height, most) / most**2, 0.0).sum())
 
     if added(0.0) <= _MOST_ON_OBJECTS:
         return 0.0
@@ -157,11 +173,28 @@ def _extent(item: Surface) -> float:
     return float(np.ptp(item.vertices, axis=0).max())
 
 
-def _box(item: Surface) -> _Box:
-    """The box of what is beside an object."""
-    low, high = item.vertices.min(axis=0), item.vertices.max(axis=0)
-    margin = _MARGIN_SHARE * float((high - low).max())
-    return low - margin, high + margin
+def _body(item: Surface, edge: float) -> _Body:
+    vertices = item.vertices
+    number = np.arange(_DIRECTIONS) + 0.5
+    up, turn = 1.0 - 2.0 * number / _DIRECTIONS, np.pi * (1.0 + 5.0**0.5) * number
+    level = np.sqrt(1.0 - up**2)
+    towards = np.column_stack([level * np.cos(turn), level * np.sin(turn), up])
+    outermost = vertices[np.unique((vertices @ towards.T).argmax(axis=0))]
+    planes = None
+    if len(item.faces) <= _DIRECTIONS:
+        normal, area = _normals(vertices[item.faces]), _area(item, item.faces)
+        offset = np.einsum("fk,fk->f", normal, vertices[item.faces[:, 0]])
+        closed = np.abs(area @ normal).max() <= 1e-3 * area.sum()
+        if closed and (vertices @ normal.T <= offset + _TOUCH * edge).all():
+            planes = normal, offset
+    return _Body(vertices.min(axis=0), vertices.max(axis=0), outermost, planes, edge)
+
+
+def _normals(corner: _Floats) -> _Floats:
+    """Unit normals of triangles by their corners (F, 3 corners, 3), (F, 3); 0 of degenerate ones."""
+    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    found: _Floats = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
+    return found
 
 
 def _longest(corner: _Floats) -> _Floats:
@@ -170,66 +203,47 @@ def _longest(corner: _Floats) -> _Floats:
     return edge.max(axis=1)
 
 
-def _finer(surface: Surface, around: Sequence[tuple[_Box, float]]) -> Surface:
-    """A surface without edges longer than those allowed in boxes, quartered until `_EQUAL_PARTS` suffice."""
-    longest, limit = np.empty(0), np.empty(0)
-    while True:
-        # Triangles that were cut come last.
-        corner = surface.vertices[surface.faces[len(limit) :]]
-        longest = np.concatenate([longest, _longest(corner)])
-        limit = np.concatenate([limit, _allowed(corner, around)])
-        far = longest > _EQUAL_PARTS * limit
-        if not far.any():
-            return _split(surface, limit, longest)
-        surface = _split(surface, np.where(far, 0.5 * longest, np.inf), longest)
-        longest, limit = longest[~far], limit[~far]
+def _finer(surface: Surface, own: float, bodies: Sequence[_Body]) -> Surface:
+    """A surface without edges longer than `own` and than those allowed beside bodies [m]."""
+    corner = surface.vertices[surface.faces]
+    longest, limit = _longest(corner), _allowed(corner, own, bodies)
+    if (longest > limit).any():
+        surface = replace(surface, faces=_shared(surface))
+    while (large := longest > limit).any():
+        surface, whole = _bisected(surface, large)
+        corner = surface.vertices[surface.faces[np.count_nonzero(whole) :]]
+        longest = np.concatenate([longest[whole], _longest(corner)])
+        limit = np.concatenate([limit[whole], _allowed(corner, own, bodies)])
+    return surface
 
 
-def _allowed(corner: _Floats, around: Sequence[tuple[_Box, float]]) -> _Floats:
-    """Longest edge allowed in triangles (F, 3 corners, 3), (F,) [m]: the shortest of the boxes that they may reach."""
-    a, b, c = corner.transpose(1, 2, 0)
-    low = np.ascontiguousarray(np.minimum(np.minimum(a, b), c))
-    high = np.ascontiguousarray(np.maximum(np.maximum(a, b), c))
-    limit = np.full(len(corner), np.inf)
-    for (first, last), edge in around:
-        near = np.flatnonzero((low[0] <= last[0]) & (high[0] >= first[0]))
-        for k in (1, 2):
-            near = near[(low[k][near] <= last[k]) & (high[k][near] >= first[k])]
-        limit[near] = np.minimum(limit[near], edge)
+def _allowed(corner: _Floats, own: float, bodies: Sequence[_Body]) -> _Floats:
+    """Longest edge allowed in triangles (F, 3 corners, 3), (F,) [m]: `own`, or what the bodies before them allow."""
+    limit = np.full(len(corner), own)
+    if not len(corner):
+        return limit
+    low, high = corner.min(axis=1).T, corner.max(axis=1).T
+    longest = _longest(corner)
+    # Farther away, no triangle is too large.
+    reach = longest.max() / _GROWTH
+    first, last = low.min(axis=1) - reach, high.max(axis=1) + reach
+    for body in bodies:
+        if (body.high < first).any() or (body.low > last).any():
+            continue
+        near = np.flatnonzero((low[0] <= body.high[0] + reach) & (high[0] >= body.low[0] - reach))
+        apart = [
+            np.maximum(np.maximum(body.low[k] - high[k][near], low[k][near] - body.high[k]), 0.0) for k in range(3)
+        ]
+        edge = np.maximum(body.edge, _GROWTH * np.sqrt(sum(each**2 for each in apart)))
+        fine = np.minimum(longest, limit)[near] <= edge
+        near, edge = near[~fine], edge[~fine]
+        here = corner[near]
+        normal = _normals(here)
+        rises = (normal @ body.outermost.T).max(axis=1) - np.einsum("fk,fk->f", normal, here[:, 0])
+        lit = rises > _TOUCH * body.edge
+        if body.planes is not None:
+            # All corners of a covered triangle lie in the body or on its surface.
+            inside = np.einsum("fck,pk->fcp", here + _TOUCH * body.edge * normal[:, None], body.planes[0])
+            lit &= ~(inside <= body.planes[1] + 2.0 * _TOUCH * body.edge).all(axis=(1, 2))
+        limit[near[lit]] = np.minimum(limit[near[lit]], edge[lit])
     return limit
-
-
-def _split(surface: Surface, limit: _Floats, longest: _Floats) -> Surface:
-    """Return a surface without edges above `limit` (F,) [m]; `longest` (F,) are the present ones.
-
-    Uncut triangles come first.
-    """
-    parts = np.ceil(np.where(np.isfinite(limit), longest / limit, 1.0) - 1e-9).astype(int).clip(1)
-    whole = parts == 1
-    if whole.all():
-        return surface
-    vertices, faces, uv = [surface.vertices], [surface.faces[whole]], [surface.uv[whole]]
-    count = len(surface.vertices)
-    for n in np.unique(parts[~whole]):
-        here = parts == n
-        weights = _lattice(n)
-        # (faces, n² triangles, 3 corners): each with its own vertices, since neighbours may be split differently.
-        corner = surface.vertices[surface.faces[here]]
-        points = np.einsum("tcw,fwk->ftck", weights, corner).reshape(-1, 3)
-        vertices.append(points)
-        faces.append(np.arange(count, count + len(points), dtype=np.int32).reshape(-1, 3))
-        uv.append(np.einsum("tcw,fwk->ftck", weights, surface.uv[here]).reshape(-1, 3, 2).astype(np.float32))
-        count += len(points)
-    return replace(surface, vertices=np.concatenate(vertices), faces=np.concatenate(faces), uv=np.concatenate(uv))
-
-
-def _lattice(n: int) -> _Floats:
-    """Barycentric weights of the corners of n² equal triangles in one, (n², 3, 3)."""
-    triangles = []
-    for i in range(n):
-        for j in range(n - i):
-            triangles.append([(i, j), (i + 1, j), (i, j + 1)])
-            if i + j < n - 1:
-                triangles.append([(i + 1, j), (i + 1, j + 1), (i, j + 1)])
-    weights = np.array(triangles, dtype=np.float64) / n
-    return np.concatenate([1.0 - weights.sum(axis=-1, keepdims=True), weights], axis=-1)

@@ -134,7 +134,7 @@ def _copies(one: TrackedObject, ground: Ground, where: str) -> list[Surface]:
         "yaw_deg": row["yaw_deg"] + item.yaw_deg,
     }
     if item.leaf_area_1_m:
-        return [crowns.placed(surface, place, item.leaf_area_1_m) for surface in one.surfaces]
+        return [crowns.placed(surface, place, item.leaf_area_1_m, item.leaf_m) for surface in one.surfaces]
     place = {name: place[name] for name in ("position", "yaw_deg", "scale")}
     return [instances.placed(surface, place) for surface in one.surfaces]
 

@@ -17,7 +17,7 @@ from thermorender import defaults, units
 from thermorender.errors import ThermorenderError
 from thermorender.paths import inside
 from thermorender.physics.geodesy import FARTHEST_M
-from thermorender.scene.crowns import DENSITIES
+from thermorender.scene.crowns import DENSITIES, LEAF_M
 from thermorender.scene.meshes.axes import Axes
 from thermorender.scene.raster import FORMATS, files_of
 from thermorender.scene.surface import scene_kelvin
@@ -296,6 +296,8 @@ class ObjectSpec:
     instances: Path | None = key(file_inside, None)
     # Area of one side of leaves per volume of a crown, as of `thermorender.scene.crowns` [m²/m³]; without it, a solid.
     leaf_area_1_m: float | None = key(number(*DENSITIES, unit="m²/m³"), None)
+    # Side of a leaf of a crown [m], for the stated error.
+    leaf_m: float = key(number(1e-3, 10.0, unit="m"), LEAF_M)
 
     def check(self, where: Where, given: Mapping[str, Any]) -> None:
         """Refuse none or two kinds of solid, and a name that could be a part's."""
@@ -310,6 +312,8 @@ class ObjectSpec:
             where.of("leaf_area_1_m").refuse(
                 self.leaf_area_1_m, "it with shape='box' or 'sphere', and without track: a crown stands still"
             )
+        if "leaf_m" in given and self.leaf_area_1_m is None:
+            where.of("leaf_m").refuse(self.leaf_m, "it with leaf_area_1_m only")
         if isinstance(self.temperature, Path) and not (self.leaf_area_1_m and self.instances):
             where.of("temperature").refuse(
                 str(self.temperature), "a table with leaf_area_1_m and instances only, for each of these crowns"

@@ -1,23 +1,30 @@
 """Scenes in three dimensions: quadrilaterals with pictures, their files, crowns, and the survey of a world."""
 
+import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
+import rasterio
+import trimesh
+from rasterio.errors import NotGeoreferencedWarning
 
 import thermorender as tr
 from thermorender.apps.lands.procedural.buildings import ROOFS, Window, house
 from thermorender.apps.lands.procedural.canvas import Canvas
 from thermorender.apps.lands.procedural.solids import Solids
-from thermorender.apps.lands.procedural.three_d import SURVEY, make_world, write
+from thermorender.apps.lands.procedural.three_d import SURVEY, _frame, _grid, _positions, make_world, write
 from thermorender.apps.lands.solids.quads import Quads
-from thermorender.apps.lands.solids.textured_mesh import write_mesh
+from thermorender.apps.lands.solids.textured_mesh import TexturedMesh, write_kelvin, write_mesh
 from thermorender.errors import ThermorenderError
 from thermorender.physics.srgb import linear_from_bytes
 from thermorender.render.from_above import from_above
 from thermorender.render.geometry import Geometry
 from thermorender.render.variant import activate
 from thermorender.scene.meshes.mesh import load
+from thermorender.scene.raster import lon_lat
 from thermorender.scene.spec import WeatherSpec
 from thermorender.scene.surface import Surface
 from validation.three_d import imported, pictures, study
@@ -57,6 +64,60 @@ def test_a_picture_is_upright_on_its_wall_and_comes_back_from_the_file(tmp_path)
     assert low.any() and (shown[low] == (1.0, 0.0, 0.0)).all()
     assert upper_east.any() and (shown[upper_east] == (0.0, 0.0, 1.0)).all()
     assert (mesh.classes[at[:, 1], at[:, 0]][low] == 1).all() and (mesh.classes[at[:, 1], at[:, 0]][~wall] == 4).all()
+
+
+def test_photographs_are_jpeg_where_that_is_smaller_and_map_places_are_kept(tmp_path):
+    """A picture of many colours, and one of two; another reader finds the same triangles and pictures."""
+    random = np.random.default_rng(2)
+    grain = cv2.GaussianBlur(random.integers(0, 256, (160, 200, 3)).astype(np.float32), (0, 0), 1.5)
+    many = np.clip(128.0 + 3.0 * (grain - grain.mean()), 0, 255).astype(np.uint8)
+    few = np.zeros((160, 200, 3), np.uint8)
+    few[:80] = 200
+    vertices, faces = random.uniform(-300.0, 300.0, (40, 3)), random.permutation(39).reshape(13, 3)
+    uv = random.random((13, 3, 2)).astype(np.float32)
+    classes = np.zeros((160, 200), np.uint8)
+    made = [TexturedMesh(name, vertices, faces, uv, colour, classes) for name, colour in (("a", many), ("b", few))]
+    sizes = []
+    for photographs in (True, False):
+        write_mesh(tmp_path / "m.glb", made, photographs)
+        sizes.append((tmp_path / "m.glb").stat().st_size)
+        # Two surfaces, each with the place on the map of every corner within half a step of 1/65535.
+        parts = sorted(load(tmp_path / "m.glb", named=("a", "b")), key=lambda one: one.name)
+        for part, whole in zip(parts, made, strict=True):
+            order, own = (np.lexsort(each.vertices[each.faces].mean(axis=1).round(2).T) for each in (part, whole))
+            for corner in range(3):
+                assert np.abs(part.vertices[part.faces[order, corner]] - vertices[faces[own, corner]]).max() < 2e-5
+                assert np.abs(part.uv[order, corner] - uv[own, corner]).max() < 0.5 / 65535 + 1e-7
+            loss = np.abs(part.colour.astype(int) - whole.colour)
+            assert 0.0 < loss.mean() < 4.0 if photographs and whole is made[0] else not loss.any()
+        scene = trimesh.load(tmp_path / "m.glb")
+        kinds = {name: each.visual.material.baseColorTexture.format for name, each in scene.geometry.items()}
+        assert kinds == {"a": "JPEG" if photographs else "PNG", "b": "PNG"}
+        assert all(len(each.faces) == 13 for each in scene.geometry.values())
+    assert sizes[0] < 0.6 * sizes[1]
+
+
+def test_stored_temperatures_are_rounded_to_five_millikelvin(tmp_path):
+    kelvin = np.random.default_rng(4).uniform(240.0, 390.0, (30, 50))
+    write_kelvin(tmp_path / "k.tif", kelvin)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(tmp_path / "k.tif") as file:
+            read = file.read(1) * file.scales[0] + file.offsets[0]
+    assert 2.0 < 1e3 * np.abs(read - kelvin).max() < 2.501
+
+
+def test_positions_of_a_survey_are_those_of_its_map():
+    """Interpolated between 33² points, against each texel's own projection."""
+    world = SimpleNamespace(
+        corner=(353_840.0, 5_700_160.0), size_m=320.0, texel_m=2.0, epsg=32634, classes=np.zeros((160, 160)),
+        elevation=np.full((4, 4), 134.0),
+    )  # fmt: skip
+    frame, grid = _frame(world), _grid(world)
+    column, row = np.meshgrid(np.arange(grid.width) + 0.5 + 0.25, np.arange(grid.height) + 0.5 - 0.25)
+    longitude, latitude = lon_lat(grid, *(each.ravel() for each in grid.to_map(column, row)))
+    each = frame.enu_from_geodetic(latitude, longitude, np.full(longitude.size, frame.height_m))
+    assert np.abs(_positions(frame, grid, 0.25, -0.25) - each).max() < 1e-4
 
 
 @pytest.mark.parametrize(("roof", "hip"), [(ROOFS[0], False), (ROOFS[0], True), (ROOFS[-1], False)])

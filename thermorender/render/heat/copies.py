@@ -100,24 +100,23 @@ class Copies:
         return self._known[key]
 
     def _tested(self, at_s: float) -> _Pair:
-        mi, towards, whole = self._geometry.mi, self._towards(at_s), self.last - self.first
-        mean, spread = np.zeros(whole, np.float32), np.zeros(whole, np.float32)
+        mi, towards, leaf = self._geometry.mi, self._towards(at_s), self._leaf
+        mean, spread = np.zeros(len(leaf), np.float32), np.zeros(len(leaf), np.float32)
         if towards[2] <= 0.0:
             return mean, spread
         sun = mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))
-        for start in range(0, whole, _AT_ONCE):
-            count = min(_AT_ONCE, whole - start)
-            origin, _, _, normal = self._rays_of(
-                dr.arange(mi.UInt32, count) + dr.opaque(mi.UInt32, self.first + start), 0
-            )
-            leaf = self._leaf[start : start + count]
-            even = mi.Float(aligned(np.repeat(np.where(leaf, PROJECTION, 0.0), _POINTS)))
+        # The two sides of a leaf in a crown have the same sunlight: one of them is tested.
+        tested = np.flatnonzero(~leaf | (np.cumsum(leaf) % 2 == 1))
+        for start in range(0, len(tested), _AT_ONCE):
+            part = tested[start : start + _AT_ONCE]
+            origin, _, _, normal = self._rays_of(mi.UInt32(aligned(part + self.first, np.uint32)), 0)
+            even = mi.Float(aligned(np.repeat(np.where(leaf[part], PROJECTION, 0.0), _POINTS)))
             # Of thin leaves of all orientations, by their mean projection; of triangles on the lit side.
             cosine = dr.select(even > 0.0, even, dr.maximum(dr.dot(normal, sun), 0.0))
-            lit = cosine * self._geometry.sunlight(mi.Ray3f(origin, sun), cosine > 0.0)
-            found = np.array(lit).reshape(count, -1)
-            mean[start : start + count], spread[start : start + count] = found.mean(axis=1), found.std(axis=1)
-        # The two sides of a leaf have the same temperature; other columns of crowns are leaves in the sun.
-        mean[self._leaf] = mean[self._leaf].reshape(-1, 2).mean(axis=1).repeat(2)
-        spread[self._leaf] = PROJECTION - mean[self._leaf]
+            lit = cosine * self._geometry.sunlight(mi.Ray3f(origin, sun), cosine > 0.0, coherent=True)
+            found = np.array(lit).reshape(len(part), -1)
+            mean[part], spread[part] = found.mean(axis=1), found.std(axis=1)
+        mean[leaf] = mean[leaf][::2].repeat(2)
+        # Other columns of crowns are leaves in the sun.
+        spread[leaf] = PROJECTION - mean[leaf]
         return mean, spread

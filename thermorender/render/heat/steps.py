@@ -7,7 +7,7 @@ import numpy as np
 
 # (Up to this long before an instant, length) [s]: changes of light within the last hour matter to minutes, those a day
 # ago only in the mean.
-_STEPS_S = ((3600.0, 300.0), (24 * 3600.0, 900.0), (np.inf, 1800.0))
+_STEPS_S = ((3600.0, 300.0), (4 * 3600.0, 900.0), (24 * 3600.0, 1800.0), (np.inf, 3600.0))
 
 
 class Library:

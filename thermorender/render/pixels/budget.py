@@ -4,6 +4,8 @@ The sampling error of a pixel is first predicted from the image. Some pixels are
 the prediction is scaled to the errors measured there. Details that no ray has hit and no neighbour indicates are not
 included.
 
+Crowns are shown as the mean of all leaves of their density; in a pixel are a few, whose scatter is the error "leaves".
+
 The error of the light includes that of its rays, from the difference of their halves, and that of baking. Halves have
 the same bias, so the light in some pixels is computed again by random walks. A difference beyond the rays' error is
 added.
@@ -20,8 +22,10 @@ from thermorender.materials.mixture import Mixture
 from thermorender.physics.planck import band_radiance
 from thermorender.render.arrays import Floats, Jit, aligned, view_ray
 from thermorender.render.dynamic import ObjectState
+from thermorender.render.geometry import Geometry
 from thermorender.render.layers import Layer, LayerHit, first_hit
 from thermorender.render.loaded import LoadedLight
+from thermorender.render.pixels.crown_light import along
 from thermorender.render.pixels.sampling import STAGES, CameraRays, contrast, edge_estimate, texture_estimate
 from thermorender.render.pixels.tracer import SampledImage, Tracer
 from thermorender.render.plan import Plan
@@ -63,6 +67,8 @@ def budget_mk(
     parts["bake"] = _rms(light)
     if baked.plan.specular:
         parts["mirrors"] = float(np.hypot(parts["mirrors"], _rms(mirrored)))
+    if baked.geometry.crowns is not None:
+        parts["leaves"] = _rms(_leaves(baked, tracer.rays, pose, states, _PIXELS))
     parts["sampling"] = _rms(errors[shown])
     total = float(np.sqrt(sum(value**2 for value in parts.values())))
     found = {**parts, "total": total, "image": _rms(np.where(shown, total, errors))}
@@ -81,6 +87,8 @@ def error_mk(
     rays = tracer.rays
     light = np.zeros(radiance.size)
     light[rays.order] = np.nan_to_num(np.hypot(*_light(baked, rays, pose, states, 1)))
+    if baked.geometry.crowns is not None:
+        light[rays.order] = np.hypot(light[rays.order], np.nan_to_num(_leaves(baked, rays, pose, states, 1)))
     square = light.reshape(radiance.shape) ** 2 + np.square(errors / baked.plan.radiance_per_mk, dtype=np.float64)
     square += sum(value**2 for value in _everywhere(baked).values())
     return np.sqrt(square).astype(np.float32)
@@ -155,6 +163,46 @@ def _light(
     # Later steps are assumed to decrease by the same ratio.
     share = min(_rms(next_step) / max(_rms(mirrored), 1e-30), _MOST_PASSED)
     return light, mirrored / (1.0 - share)
+
+
+def _leaves(
+    baked: LoadedLight, rays: CameraRays, pose: Floats, states: Sequence[ObjectState], every: int
+) -> Floats:  # fmt: skip
+    """Standard deviation of every n-th pixel over crowns drawn leaf by leaf [mK]; NaN where it shows nothing.
+
+    Leaves of side l at random places cover a share of a pixel of side p with the variance T (1 − T) r / (1 + r), where
+    T is the mean share that passes and r = 2/3 (l/p)² (a leaf's mean projected area is half of its own, and of the
+    square of it a third). Leaves that are seen differ by the sun on them.
+    """
+    device, mi, field = baked.device, baked.geometry.mi, baked.geometry.crowns
+    assert field is not None
+    numbers = _one_of(every, len(rays.order))
+    slope = rays.slopes(0.5, 0.5, mi.UInt32(aligned(numbers, np.uint32)))
+    layers, sums = device.layers(pose, states), baked.plan.spectrum.solver.sum(axis=0)
+
+    def read(at: LayerHit) -> list[Jit]:
+        return at.layer.outgoing.at(at.layer.geometry, at.hit, at.place)
+
+    hit, _, behind = first_hit(layers, lambda layer: view_ray(mi, *layer.view, *slope), read, Geometry.seen_through)
+    ray = view_ray(mi, *layers[0].view, *slope)
+    outgoing = layers[0].outgoing
+    leaves = along(layers[0].geometry, outgoing, ray, dr.select(hit.valid, hit.distance, np.inf))
+    dr.eval(behind, leaves.passed, leaves.distance, leaves.channels, hit.valid, ray.d.z)
+    solid, own = (
+        sum(weight * np.array(each, np.float64) for weight, each in zip(sums, channels, strict=True))
+        for channels in (behind, leaves.channels)
+    )
+    scene, band, valid = baked.scene, baked.plan.band_um, np.array(hit.valid)
+    outside = np.where(np.array(ray.d.z) >= 0.0, *(
+        float(band_radiance(kelvin, *band)) for kelvin in (scene.sky_temperature, scene.surroundings_temperature)
+    ))  # fmt: skip
+    passed, distance = np.array(leaves.passed, np.float64), np.array(leaves.distance, np.float64)
+    ratio = 2.0 / 3.0 * np.square(field.leaf_m * rays.camera.focal_length_px / np.maximum(distance, 1e-3))
+    spread = passed * np.square(own - np.where(valid, solid, outside))
+    if outgoing.leaves:
+        spread = spread + outgoing.leaves.scatter(sums) ** 2
+    error = np.sqrt((1.0 - passed) * spread * ratio / (1.0 + ratio)) / baked.plan.radiance_per_mk
+    return np.where(valid | (passed < 1.0), error, np.nan)
 
 
 def _one_of(every: int, count: int) -> NDArray[np.uint32]:

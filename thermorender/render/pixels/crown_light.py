@@ -18,7 +18,7 @@ from thermorender.physics import sun
 from thermorender.render.arrays import Channels, Floats, Jit, aligned
 from thermorender.render.geometry import Geometry
 from thermorender.render.plan import Plan
-from thermorender.render.turbid import Chord, CrownField, Frame
+from thermorender.render.turbid import Chord, CrownField, UnitBody
 from thermorender.scene.crowns import PATCHES
 from thermorender.scene.scene import Scene
 
@@ -74,7 +74,8 @@ class SunlitLeaves:
             grid, of = plan.spectrum.emitted(emits, float(shaded.min()), float((shaded + contrast).max()), plan.band_um)
             more = [np.interp(shaded + contrast, grid, each) - np.interp(shaded, grid, each) for each in of.T]
             table.append(np.concatenate([mean, *more], axis=1))
-        self._halves = Channels(mi, np.concatenate(table))
+        whole = np.concatenate(table)
+        self._halves, self._largest = Channels(mi, whole), np.abs(whole[:, 2:]).max(axis=0).reshape(-1, 2).max(axis=1)
 
     def _lattice(self, field: CrownField) -> NDArray[np.float32]:
         """Share of sunlight that other things than the own crown pass, (n × _LATTICE³,), the last axis fastest."""
@@ -108,12 +109,12 @@ class SunlitLeaves:
             yield mi.UInt32(aligned(crown, np.uint32)), mi.Point3f(*map(aligned, place.reshape(-1, 3).T))
             first += len(crowns)
 
-    def _own_depth(self, frame: Frame, at: Jit) -> Jit:
+    def _own_depth(self, frame: UnitBody, at: Jit) -> Jit:
         """Optical depth of the own crown from points in its frame towards the sun."""
         start, end = frame.chord(at, frame.vector(self._towards))
         return frame.extinction * dr.maximum(end - dr.maximum(start, 0.0), 0.0)
 
-    def _share(self, crown: Jit, frame: Frame, at: Jit, active: Jit) -> Jit:
+    def _share(self, crown: Jit, frame: UnitBody, at: Jit, active: Jit) -> Jit:
         """Share of leaves in the sun at points in the frames of crowns."""
         mi = self._mi
         cell = dr.clip((at + 1.0) * (0.5 * (_LATTICE - 1)), 0.0, _LATTICE - 1.001)
@@ -126,6 +127,12 @@ class SunlitLeaves:
             edges.append(dr.lerp(*ends, part.z))
         others = dr.lerp(dr.lerp(edges[0], edges[1], part.y), dr.lerp(edges[2], edges[3], part.y), part.x)
         return others * dr.exp(-self._own_depth(frame, at))
+
+    def scatter(self, weight: Floats) -> float:
+        """Return the largest standard deviation of radiance over leaves in and out of the sun, of all orientations;
+        `weight` (K,) is of the channels."""
+        # Half of the leaves in the sun: 1/2 (1 − 1/2) of sun and shade, and a third by the variance of 2 |n·s|.
+        return float(np.sqrt(0.25 + 1.0 / 6.0) * (self._largest @ weight))
 
     def phase(self, direction: Jit) -> Jit:
         """Return the excess of the sunlit leaves that rays of a direction meet, relative to their mean."""

@@ -324,7 +324,10 @@ class Tracer:
         near = Hit(some, dr.select(some, leaves.distance, 1.0), hit.face, hit.surface)
         shown = self._medium.at_camera(near, leaves.channels, ray.o, ray.d)
         values = [dr.select(some, dr.lerp(b, a, leaves.passed), a) for a, b in zip(values, shown, strict=True)]
-        return replace(hit, leaves=1.0 - leaves.passed), values
+        # Of leaves before the sky.
+        alone = ~hit.valid & (leaves.passed < 0.5)
+        seen = Hit(hit.valid | alone, dr.select(alone, leaves.distance, hit.distance), hit.face, hit.surface)
+        return replace(seen, mirrored=hit.mirrored, strong=hit.strong, leaves=1.0 - leaves.passed), values
 
     def _read(self, cell: Footprint, reading: Reading, at: LayerHit) -> list[Jit]:
         """[whether the light on the face is strong, texel and row as of `mirrors.met`, mean channels over the cell]."""

@@ -24,6 +24,7 @@ import numpy as np
 from thermorender.render.arrays import Jit
 from thermorender.render.geometry import Hit
 from thermorender.render.layers import Layer, LayerHit, first_hit
+from thermorender.render.pixels.crown_light import along
 
 # Largest number of mirrors that reflect light on its way to the camera.
 DEPTH = 2
@@ -90,10 +91,20 @@ def _reflected(
     direction = view + 2.0 * cosine * normal
     # Lifted off the surface as the rays of the bake, and more where the ray is long.
     lift = 64.0 * 2.0**-24 * (1.0 + dr.maximum(reach, distance))
-    seen, length, way = _seen(layers, depth - 1, mi.Point3f(eye + distance * view + lift * normal), direction)
-    valid = length < np.inf
-    seen = tables.through_air(seen, length, direction.z, valid)
-    reflected = tables.reflected(kind, cosine, black, seen, valid, direction.z)
+    origin = mi.Point3f(eye + distance * view + lift * normal)
+    seen, length, way = _seen(layers, depth - 1, origin, direction)
+
+    def by(seen: list[Jit], length: Jit) -> list[Jit]:
+        valid = length < np.inf
+        seen = tables.through_air(seen, length, direction.z, valid)
+        return tables.reflected(kind, cosine, black, seen, valid, direction.z)
+
+    reflected = by(seen, length)
+    if first.geometry.crowns is not None:
+        leaves = along(first.geometry, first.outgoing, mi.Ray3f(origin, direction), length)
+        some = leaves.passed < 1.0
+        shown = by(leaves.channels, dr.select(some, leaves.distance, np.inf))
+        reflected = [dr.select(some, dr.lerp(b, a, leaves.passed), a) for a, b in zip(reflected, shown, strict=True)]
     return (*(a + b - c for a, b, c in zip(black, reflected, diffuse, strict=True)), way)
 
 
@@ -107,7 +118,7 @@ def _seen(layers: Sequence[Layer], depth: int, origin: Jit, direction: Jit) -> t
 
     hit, number, (texel, row, *seen) = first_hit(
         layers, lambda layer: mi.Ray3f(*transformed(first.view, layer.view, origin, direction)), read,
-        lambda geometry, ray: geometry.cast(ray, coherent=True),
+        lambda geometry, ray: geometry.cast_solid(ray, coherent=True),
     )  # fmt: skip
     away: Jit = dr.select(hit.valid, hit.distance, np.inf)
     further: Jit = 0.0

@@ -18,6 +18,10 @@ ROOFS = (
     ("roof_rubber", (112, 109, 104), False),
 )  # fmt: skip
 
+# Heat that an engine gives to a bonnet per kelvin of its excess over the body [W/K], whose upper and lower side lose
+# about 20 W m⁻² K⁻¹; an excess that is the sun's [K].
+_ENGINE_W_K, _SUNLIT_K = 75.0, 2.0
+
 
 class Window:
     """A window of the canvas in a local frame: u to the right of `heading_deg` (clockwise from north), v along it. Its
@@ -233,7 +237,7 @@ def car(
     temperature: float, bonnet: float,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Return the [[object]] tables of a car: body, cabin, bonnet. Centre [m], heading clockwise from north [deg], sRGB,
-    and the temperatures of body and bonnet [K].
+    and the temperatures of body and bonnet [K]. Where the heat balance solves these, an engine heats a warmer bonnet.
     """
     s, c = np.sin(np.radians(heading_deg)), np.cos(np.radians(heading_deg))
 
@@ -248,9 +252,10 @@ def car(
         }  # fmt: skip
 
     glass = [52, 58, 64]
+    engine = round(_ENGINE_W_K * max(bonnet - temperature - _SUNLIT_K, 0.0), 1)
     return [
         part("", [1.8, 4.4, 0.7], 0.0, 0.25, temperature, colour),
         {**part("_cabin", [1.58, 2.2, 0.5], -0.35, 0.95, temperature + 1.5, glass), "material": "glass"},
         part("_roof", [1.5, 1.7, 0.05], -0.4, 1.45, temperature + 2.0, colour),
-        part("_bonnet", [1.6, 1.1, 0.04], 1.55, 0.95, bonnet, colour),
+        {**part("_bonnet", [1.6, 1.1, 0.04], 1.55, 0.95, bonnet, colour), "inner_heat_w": engine},
     ]

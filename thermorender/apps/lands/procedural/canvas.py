@@ -1,7 +1,7 @@
 """The canvas of a synthetic scene: height, material, colour and moisture per texel, and functions that paint them."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,16 +13,20 @@ if TYPE_CHECKING:
     from thermorender.apps.lands.procedural.solids import Solids
 
 
-class Canvas:
-    """A square scene under construction; a layout paints it from the ground up."""
+class Road(NamedTuple):
+    """A road or track of a canvas: points (K, 2) east and north [m], half width [m], linear colour, material."""
 
-    def __init__(self, seed: int, size_m: float, texel_m: float) -> None:
-        self.seed, self.size, self.texel = seed, size_m, texel_m
-        self.n = round(size_m / texel_m)
-        self.shape = (self.n, self.n)
-        line = ((np.arange(self.n) + 0.5) * texel_m - 0.5 * size_m).astype(np.float32)
-        # Texel centres relative to the scene's centre [m]; row 0 in the north.
-        self.east, self.north = line[None, :], -line[:, None]
+    points: Values
+    half_m: float
+    colour: Values
+    material: str
+
+
+class Painting:
+    """Fields of a land under construction, each of `shape`, and the means to paint them."""
+
+    def __init__(self, seed: int, shape: tuple[int, int], names: dict[int, str]) -> None:
+        self.seed, self.shape = seed, shape
         # Bare ground, height of objects on it, and small relief that is lit but not in the surface model [m].
         self.ground = np.zeros(self.shape, np.float32)
         self.top: Values = np.zeros(self.shape, np.float32)
@@ -30,12 +34,11 @@ class Canvas:
         self.albedo = np.zeros((*self.shape, 3), np.float32)  # Linear colour of a level surface in full sun
         self.material = np.zeros(self.shape, np.uint8)  # Class value
         self.wetness = np.zeros(self.shape, np.float32)  # Added moisture, 0…1
-        self.names: dict[int, str] = {}  # Material of each class value
-        self.solids: Solids | None = None  # What is placed on the ground, in three dimensions; None: painted only
+        self.names = names  # Material of each class value
 
     @property
     def surface(self) -> NDArray[np.float32]:
-        """Heights of the surface model, (N, N) float32 [m]."""
+        """Heights of the surface model, float32 [m]."""
         return self.ground + self.top
 
     def value(self, name: str) -> int:
@@ -47,12 +50,40 @@ class Canvas:
         return len(self.names)
 
     def among(self, names: Sequence[str]) -> NDArray[np.bool_]:
-        """Return whether each texel has one of the materials, (N, N) bool."""
+        """Return whether each texel has one of the materials, bool."""
         return np.isin(self.material, [value for value, known in self.names.items() if known in names])
 
     def stream(self, name: str) -> np.random.Generator:
         """Return the scene's generator of that name."""
         return stream(self.seed, name)
+
+    def paint(self, cover: Values, colour: Values, material: str | None = None) -> None:
+        """Blend a linear colour, (3,) or one for each texel, over the land by `cover` in 0…1; above one half it also
+        sets the material.
+        """
+        for channel in range(3):
+            target = self.albedo[..., channel]
+            target += cover * (np.asarray(colour)[..., channel] - target)
+        if material is not None:
+            self.material[cover > 0.5] = self.value(material)
+
+    def tint(self, factor: Values) -> None:
+        """Multiply the colour by a factor for each texel, or for each channel of it."""
+        self.albedo *= factor[..., None] if factor.ndim == 2 else factor
+
+
+class Canvas(Painting):
+    """A square scene under construction; a layout paints it from the ground up."""
+
+    def __init__(self, seed: int, size_m: float, texel_m: float) -> None:
+        self.size, self.texel = size_m, texel_m
+        self.n = round(size_m / texel_m)
+        super().__init__(seed, (self.n, self.n), {})
+        line = ((np.arange(self.n) + 0.5) * texel_m - 0.5 * size_m).astype(np.float32)
+        # Texel centres relative to the scene's centre [m]; row 0 in the north.
+        self.east, self.north = line[None, :], -line[:, None]
+        self.solids: Solids | None = None  # What is placed on the ground, in three dimensions; None: painted only
+        self.roads: list[Road] = []  # Roads and tracks that leave the square
 
     def fractal(self, name: str, wavelength_m: float, octaves: int = 5, gain: float = 0.5) -> NDArray[np.float32]:
         """Return the scene's fractal noise of that name, (N, N) float32."""
@@ -75,20 +106,6 @@ class Canvas:
         """Return the bare ground's height at a position [m]."""
         row, column = self.texels(east, north)
         return float(self.ground[int(np.clip(row, 0, self.n - 1)), int(np.clip(column, 0, self.n - 1))])
-
-    def paint(self, cover: Values, colour: Values, material: str | None = None) -> None:
-        """Blend a linear colour, (3,) or (N, N, 3), over the canvas by `cover`, (N, N) in 0…1; above one half it also
-        sets the material.
-        """
-        for channel in range(3):
-            target = self.albedo[..., channel]
-            target += cover * (np.asarray(colour)[..., channel] - target)
-        if material is not None:
-            self.material[cover > 0.5] = self.value(material)
-
-    def tint(self, factor: Values) -> None:
-        """Multiply the colour by an (N, N) or (N, N, 3) factor."""
-        self.albedo *= factor[..., None] if factor.ndim == 2 else factor
 
     def window(self, low_east: float, high_east: float, low_north: float, high_north: float) -> tuple[slice, slice]:
         """Return the (row slice, column slice) of a box [m], empty outside the scene."""

@@ -5,9 +5,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.apps.lands.procedural.canvas import Canvas, crowns, plant, planted_rows, ruts, scatter, spline
+from thermorender.apps.lands.procedural.buildings import Window
+from thermorender.apps.lands.procedural.buildings import car as vehicle
+from thermorender.apps.lands.procedural.canvas import Canvas, Road, crowns, plant, planted_rows, ruts, scatter, spline
 from thermorender.apps.lands.procedural.light import linear
 from thermorender.apps.lands.procedural.noise import Values, smoothstep
+from thermorender.apps.lands.procedural.surroundings import Surroundings
 from thermorender.scene.spec import WeatherSpec
 
 LATITUDE_DEG = 52.2
@@ -53,6 +56,8 @@ def heath(canvas: Canvas) -> tuple[list[dict[str, Any]], dict[str, NDArray[np.fl
             (0.035 * s + sway[2] + sway[3], 0.6 * s),
         ]
     )
+    c.roads.append(Road(road, 3.0, linear(124, 121, 117), "asphalt"))
+    c.roads.append(Road(track, 1.6, linear(204, 184, 148), "sand_quartz"))
     _moor(c)
     west, east = np.radians(135.0 + g.uniform(-14.0, 14.0)), np.radians(42.0 + g.uniform(-14.0, 14.0))
     far = s * (0.275 + g.uniform(-0.02, 0.05)), s * (0.315 + g.uniform(-0.02, 0.05))
@@ -66,7 +71,31 @@ def heath(canvas: Canvas) -> tuple[list[dict[str, Any]], dict[str, NDArray[np.fl
     _tracks(c, track, sand)
     _trees(c, pines, south, track, sand)
     _clearing(c)
+    if c.solids:
+        _hide(c, pines, track)
     return _objects(c, track), _flight(c)
+
+
+def around(far: Surroundings) -> None:
+    """Paint heath, pine woods and fields out to wooded hills."""
+    far.hills(5.0, 800.0)
+    beyond = far.beyond(45.0)
+    hue, fine = far.fractal("hue", 90.0, 6, 0.6), far.fractal("fine", 8.0, 3, 0.7)
+    heather = smoothstep(-0.5, 0.3, far.fractal("patch", 110.0, 6, 0.6))[..., None]
+    moor = linear(166, 150, 112) + heather * (linear(100, 84, 68) - linear(166, 150, 112))
+    far.paint(beyond, moor * np.exp(0.10 * hue + 0.14 * fine)[..., None], "grass_dry")
+    far.material[(beyond > 0.5) & (heather[..., 0] > 0.5)] = far.value("heath_shrub")
+    south = smoothstep(-0.2, 0.2, far.fractal("farmland", 1900.0, 4) - 1.1 * np.tanh(far.north / 500.0) - 0.2)
+    number, border = far.plots("fields", 330.0, 95.0)
+    kinds = far.stream("far crops").integers(0, 3, number.max() + 1)[number]
+    for index, (colour, material) in enumerate(
+        [((190, 171, 128), "grass_dry"), ((124, 98, 74), "soil_dark"), ((104, 124, 62), "grass_green")]
+    ):
+        tone = linear(*colour) * np.exp(0.08 * hue + 0.07 * fine)[..., None]
+        far.paint(beyond * (south > 0.5) * (kinds == index) * smoothstep(0.5, 2.5, border), tone, material)
+    far.continue_roads()
+    sparse = far.fractal("woods", 700.0, 5, 0.5) + 0.25 * far.fractal("edges", 60.0, 4) - 0.9 * (south - 0.5)
+    far.woods(sparse + 0.25, 13.0, [(104, 114, 70), (112, 122, 74)], "conifer")
 
 
 def _moor(c: Canvas) -> None:
@@ -313,6 +342,24 @@ def _clearing(c: Canvas) -> None:
     c.paint(bare, linear(200, 181, 145) * np.exp(0.08 * scuff)[..., None], "sand_quartz")
 
 
+def _hide(c: Canvas, pines: Values, track: Values) -> None:
+    """Put a raised hide on free ground at the edge of the forest, which looks at the marker."""
+    import cv2
+
+    assert c.solids
+    offset, _ = c.ribbon(track, 9.0)
+    side = 2 * round(2.0 / c.texel) + 1
+    overhead = cv2.dilate(c.top, np.ones((side, side), np.uint8))
+    away = np.hypot(c.east - MARKER[0], c.north - MARKER[1])
+    fit = np.abs(pines + 4.0) + 0.1 * away + 50.0 * (overhead > 1.0) + 50.0 * np.isfinite(offset) + 50.0 * (away < 12.0)
+    fit += 50.0 * c.among(("water", "asphalt"))
+    fit[np.maximum(np.abs(c.east), np.abs(c.north)) > 0.5 * c.size - 4.0] = np.inf
+    row, column = np.unravel_index(int(np.argmin(fit)), c.shape)
+    east, north = float(c.east[0, column]), float(c.north[row, 0])
+    heading = float(np.degrees(np.arctan2(MARKER[0] - east, MARKER[1] - north)))
+    c.solids.hide_stand(Window(c, east, north, heading, 4.0))
+
+
 def _objects(c: Canvas, track: Values) -> list[dict[str, Any]]:
     """Return the heated marker, and a recovery car parked on the track."""
     marker = {
@@ -325,6 +372,11 @@ def _objects(c: Canvas, track: Values) -> list[dict[str, Any]]:
         "name": "car", "shape": "box", "size": [1.8, 4.4, 0.8], "position": [*position, 0.25], "yaw_deg": 12.0,
         "upright": True, "temperature": 302.0, "material": "paint_metallic", "colour": [176, 178, 182],
     }  # fmt: skip
+    if c.solids:
+        return [
+            marker,
+            *vehicle("car", position[0], position[1], 12.0, (176, 178, 182), "paint_metallic", 302.0, 310.0),
+        ]
     cabin = {**car, "name": "car_cabin", "size": [1.6, 2.3, 0.6], "position": [*position, 1.05], "temperature": 304.5}
     return [marker, car, cabin]
 

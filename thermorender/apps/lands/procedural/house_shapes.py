@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from thermorender.apps.lands.procedural.light import linear
 from thermorender.apps.lands.procedural.noise import Values
 from thermorender.apps.lands.solids.facades import WALLS, facade
-from thermorender.apps.lands.solids.quads import Quads
+from thermorender.apps.lands.solids.quads import Paint, Quads
 
 # Overhang of pitched roofs in buildings.house, thickness of roofs, depth of walls below the ground [m].
 OVERHANG_M, _ROOF_M, _BELOW_M = 0.45, 0.12, 0.4
@@ -140,6 +140,56 @@ def greenhouse(quads: Quads, at: Place, look: Look, half: tuple[float, float], s
         quads.add([p(x, a, -_BELOW_M), p(x, b, -_BELOW_M), p(x, b, high), p(x, a, high)], glass)
 
 
+def hide(quads: Quads, at: Place, look: Look) -> None:
+    """Add a raised hunting hide: a cabin of boards with openings on four leaning legs, with a ladder behind (−y)."""
+    floor, half, foot = 3.2, 0.8, 1.15
+    up = lambda y: floor + 1.9 + 0.15 * y  # noqa: E731
+    p, boards, dark = at.point, _boards(look), _plain(look, (30, 27, 24), look.material)
+    for x in (-1.0, 1.0):
+        for y in (-1.0, 1.0):
+            beam(quads, p(x * foot, y * foot, -_BELOW_M), p(x * 0.7, y * 0.7, floor), 0.07, boards)
+        # Diagonal braces on both sides, and the rails of the ladder.
+        beam(quads, p(x * 1.0, -1.0, 0.9), p(x * 0.78, 0.78, 2.6), 0.04, boards)
+        beam(quads, p(x * 0.3, -half - 1.3, -_BELOW_M), p(x * 0.3, -half, floor), 0.04, boards)
+    for number in range(8):
+        rung = 0.4 + 0.36 * number
+        y = -half - 1.3 * (1.0 - rung / floor)
+        beam(quads, p(-0.3, y, rung), p(0.3, y, rung), 0.025, boards)
+    ring = [(-half, -half), (half, -half), (half, half), (-half, half)]
+    quads.add([p(x, y, floor) for x, y in reversed(ring)], boards)
+    for a, b in zip(ring, [*ring[1:], ring[0]], strict=True):
+        quads.add([p(*a, floor), p(*b, floor), p(*b, up(b[1])), p(*a, up(a[1]))], boards)
+        # An opening, as a dark board just in front of the wall.
+        out = np.array([b[1] - a[1], a[0] - b[0]]) / (2.0 * half) * 0.01
+        along = np.subtract(b, a)
+        (x0, y0), (x1, y1) = (np.add(a, share * along) + out for share in (0.2, 0.8))
+        low, top = floor + 0.95, floor + 1.4
+        quads.add([p(x0, y0, low), p(x1, y1, low), p(x1, y1, top), p(x0, y0, top)], dark)
+    wide = half + 0.25
+    ring = [(-wide, -wide), (wide, -wide), (wide, wide), (-wide, wide)]
+    roof = [p(x, y, up(y) + 0.06) for x, y in ring]
+    below = [(e, n, z - 0.06) for e, n, z in roof]
+    felt = _plain(look, (74, 72, 70), "roof_rubber")
+    quads.add(roof, felt)
+    quads.add(below[::-1], boards)
+    for k in range(4):
+        quads.add([below[k], below[(k + 1) % 4], roof[(k + 1) % 4], roof[k]], felt)
+
+
+def beam(
+    quads: Quads, low: tuple[float, float, float], high: tuple[float, float, float], half_m: float, paint: Paint
+) -> None:
+    """Add the four long sides of a square beam between two points [m]."""
+    axis = np.subtract(high, low)
+    side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 * np.linalg.norm(axis) else [1.0, 0.0, 0.0])
+    side *= half_m / np.linalg.norm(side)
+    other = np.cross(axis, side)
+    other *= half_m / np.linalg.norm(other)
+    ring = [-side - other, side - other, side + other, other - side]
+    for a, b in zip(ring, [*ring[1:], ring[0]], strict=True):
+        quads.add([low + a, low + b, high + b, high + a], paint)
+
+
 def panels(quads: Quads, at: Place, look: Look, half: tuple[float, float], slope: NDArray[np.float64]) -> None:
     """Add solar panels 0.12 m above a plane of height slope · (u, v, 1)."""
     ring = [(-half[0], -half[1]), (half[0], -half[1]), (half[0], half[1]), (-half[0], half[1])]
@@ -170,6 +220,17 @@ def _tiles(look: Look) -> Any:
         course = 0.05 * np.cos(2.0 * np.pi * np.arange(len(s))[:, None] / 4.0)
         grain = 0.07 * look.draw.standard_normal(s.shape)
         return look.colour * np.exp(dull + course + grain)[..., None], number
+
+    return paint
+
+
+def _boards(look: Look) -> Any:
+    """Boards of the look's colour and material, side by side."""
+    number, dull = look.value(look.material), look.draw.normal(0.0, 0.06)
+
+    def paint(s: Values, t: Values) -> tuple[Values, int]:
+        board = 0.1 * look.draw.standard_normal(s.shape[1])
+        return look.colour * np.exp(dull + board + 0.05 * look.draw.standard_normal(s.shape))[..., None], number
 
     return paint
 

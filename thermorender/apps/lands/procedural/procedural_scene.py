@@ -19,8 +19,10 @@ from thermorender.apps.lands.procedural.deviations import deviations_of
 from thermorender.apps.lands.procedural.light import incidence, normals, photograph, sky_view, sun_visibility
 from thermorender.apps.lands.procedural.snow import lay_snow
 from thermorender.apps.lands.procedural.solids import Solids
+from thermorender.apps.lands.procedural.surroundings import Surroundings
 from thermorender.apps.lands.procedural.weather import (
     LONGITUDE_DEG,
+    balanced,
     conditions,
     drawn_weather,
     follows,
@@ -34,7 +36,9 @@ from thermorender.scene.spec import WeatherSpec
 
 
 class Kind(NamedTuple):
-    """A kind of landscape: layout, default size and spacings [m], place, weather, title, flight heights [m]."""
+    """A kind of landscape: layout, default size and spacings [m], place, weather, title, flight heights [m]; in three
+    dimensions its surroundings and their reach [m].
+    """
 
     layout: Callable[[Canvas], tuple[list[dict[str, Any]], dict[str, NDArray[np.float64]]]]
     size_m: float
@@ -45,20 +49,22 @@ class Kind(NamedTuple):
     weather: WeatherSpec
     title: str
     heights_m: tuple[float, float]
+    around: Callable[[Surroundings], None]
+    reach_m: float
 
 
 KINDS = {
     "heath": Kind(
         heath.heath, 400.0, 0.25, 1.0, heath.LATITUDE_DEG, 112.0, heath.WEATHER,
-        "Heath with sand, tracks, pine forest and fields", (30.0, 130.0),
+        "Heath with sand, tracks, pine forest and fields", (30.0, 130.0), heath.around, 4000.0,
     ),
     "village": Kind(
         village.village, 320.0, 0.2, 0.5, village.LATITUDE_DEG, 134.0, village.WEATHER,
-        "Village street with houses, gardens, a nursery and a pond", (30.0, 130.0),
+        "Village street with houses, gardens, a nursery and a pond", (30.0, 130.0), village.around, 4000.0,
     ),
     "ridge": Kind(
         ridge.ridge, 1600.0, 1.0, 4.0, ridge.LATITUDE_DEG, 1550.0, ridge.WEATHER,
-        "Mountain ridge with rock, snow, alpine grass, spruces and a lake", (120.0, 500.0),
+        "Mountain ridge with rock, snow, alpine grass, spruces and a lake", (120.0, 500.0), ridge.around, 8000.0,
     ),
 }  # fmt: skip
 
@@ -144,7 +150,9 @@ def painted(
     kind: str, seed: int, size_m: float | None, texel_m: float | None, post_m: float | None,
     time: str | np.datetime64 | None, weather: WeatherSpec | None, again: int = 0, solid: bool = False,
 ) -> Painted:  # fmt: skip
-    """Return the Painted canvas of `make`; with `solid`, what stands on the ground is recorded and taken off it."""
+    """Return the Painted canvas of `make`; with `solid`, what stands on the ground is recorded and taken off it, and
+    objects have temperatures that the heat balance solves.
+    """
     known = _kind(kind)
     size = float(known.size_m if size_m is None else size_m)
     texel = float(known.texel_m if texel_m is None else texel_m)
@@ -171,7 +179,8 @@ def painted(
     assert weather.air_low_c is not None  # `conditions` has refused a day without it
     lay_snow(canvas, weather.snow_depth_m or 0.0, weather.air_low_c)
     deviations = deviations_of(canvas, again)
-    return Painted(canvas, follows(objects, now, usual), flight, deviations, kind, seed, size, texel, post, weather)
+    objects = balanced(objects) if solid else follows(objects, now, usual)
+    return Painted(canvas, objects, flight, deviations, kind, seed, size, texel, post, weather)
 
 
 def scene_of(made: Painted) -> SyntheticScene:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from thermorender.apps.lands.procedural.canvas import Canvas, crowns, plant, scatter, spline
 from thermorender.apps.lands.procedural.light import linear
 from thermorender.apps.lands.procedural.noise import Values, fractal_noise, ridged_noise, smoothstep, warp
+from thermorender.apps.lands.procedural.surroundings import Surroundings
 from thermorender.scene.spec import WeatherSpec
 
 LATITUDE_DEG = 49.2
@@ -41,6 +42,36 @@ def ridge(canvas: Canvas) -> tuple[list[dict[str, Any]], dict[str, NDArray[np.fl
     _trail(c)
     _wood(c, height, slope, lake)
     return _objects(c, slope, lake), _flight(c)
+
+
+def around(far: Surroundings) -> None:
+    """Shape and paint mountains with woods at their feet, rock and snow."""
+    level = float(np.median(far.ground))
+    whole = np.maximum(np.abs(far.east), np.abs(far.north)) / far.reach
+    crest = 1.0 - np.abs(far.fractal("crest", 3600.0, 6, 0.42))
+    rise = (far.skyline - level) * smoothstep(0.15, 0.9, whole)
+    mountains = level - 40.0 + rise * (0.75 + 0.55 * crest) + 90.0 * crest * smoothstep(0.0, 0.3, whole)
+    share = smoothstep(0.0, 1.0, far.away / (0.45 * far.size))
+    far.ground += share * (mountains - far.ground)
+    height = far.ground - _FOOT_M
+    slope = far.slope()
+    beyond = far.beyond(0.12 * far.size)
+    hue, fine = far.fractal("hue", 300.0, 7, 0.6), far.fractal("fine", 30.0, 4, 0.7)
+    green = smoothstep(-0.6, 0.8, far.fractal("moist", 500.0, 6) + 1.0 - height / 300.0)[..., None]
+    alp = linear(138, 130, 94) + green * (linear(110, 118, 70) - linear(138, 130, 94))
+    far.paint(beyond, alp * np.exp(0.12 * hue + 0.12 * fine)[..., None], "grass_dry")
+    far.material[(beyond > 0.5) & (green[..., 0] > 0.5)] = far.value("grass_green")
+    bare = slope - 0.75 + (height - 450.0) / 700.0 + 0.2 * far.fractal("rock", 200.0, 6, 0.6)
+    rock = linear(140, 135, 127) * np.exp(0.12 * hue + 0.18 * fine)[..., None]
+    far.paint(beyond * smoothstep(-0.1, 0.1, bare), rock, "granite")
+    white = (height - 640.0) / 250.0 + 0.5 * far.fractal("snow", 300.0, 6, 0.6) - 0.6 * np.maximum(slope - 0.7, 0.0)
+    far.paint(
+        beyond * smoothstep(-0.1, 0.1, white), linear(226, 229, 232) * np.exp(0.04 * fine)[..., None], "snow"
+    )  # fmt: skip
+    line = 250.0 + 60.0 * far.fractal("tree line", 500.0, 5)
+    dense = (line - height) / 120.0 - 0.5 * far.fractal("glades", 260.0, 5)
+    dense = np.where((bare > 0.0) | (white > 0.0) | (slope > 0.9), -1.0, dense)
+    far.woods(dense, 15.0, [(86, 104, 70), (98, 114, 74)], "conifer")
 
 
 def _smooth(field: Values, sigma: float) -> Values:

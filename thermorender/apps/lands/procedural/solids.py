@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 # Fields of a canvas that an object hides.
 _FIELDS = ("top", "albedo", "material", "wetness")
 # Side of a texel of walls and roofs [m].
-_TEXEL_M = 0.15
+_TEXEL_M = 0.2
 # Lower than this, a plant is a shrub, whose leaves reach the ground [m].
 _SHRUB_M = 3.0
 _BARK = (104, 88, 72)
@@ -98,6 +98,12 @@ class Solids:
         self.quads.box(
             window.position, u, v, *half, low - 0.2, low + height_m, lambda s, t: (colour * np.exp(tone), number)
         )
+
+    def hide_stand(self, window: "Window") -> None:
+        """Record a raised hunting hide in the middle of a window, with its ladder behind the heading."""
+        at = house_shapes.Place(window.position, 0.0, 0.0, self.canvas.height_at(*window.origin))
+        made = house_shapes.Look(self.canvas.value, self._draw, linear(128, 108, 84), "wood")
+        house_shapes.hide(self.quads, at, made)
 
     def hedge(self, window: "Window", mask: NDArray[np.bool_], height_m: Values, colour: Values) -> None:
         """Record a hedge; height [m] and linear colour are those of the (n,) texels of the mask."""

@@ -4,6 +4,7 @@ The survey is a scene of rasters: the highest surface under each texel, with its
 So the same world exists twice, and the draped one can be judged against the other.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender import Scene, load_scene
+from thermorender.apps.lands.procedural.canvas import Canvas
 from thermorender.apps.lands.procedural.light import exposed, normals
 from thermorender.apps.lands.procedural.noise import stream
-from thermorender.apps.lands.procedural.procedural_scene import SyntheticScene, painted, posts, scene_of
+from thermorender.apps.lands.procedural.procedural_scene import KINDS, SyntheticScene, painted, posts, scene_of
 from thermorender.apps.lands.procedural.scene_files import flight_csv, scene_toml, write_declared, write_temperature
+from thermorender.apps.lands.procedural.surroundings import SURROUNDINGS, Surroundings
 from thermorender.apps.lands.procedural.truth import drawn
 from thermorender.apps.lands.solids.plants import Bodies, write_bodies, write_leaf_tables
 from thermorender.apps.lands.solids.textured_mesh import MESH, TexturedMesh, write_kelvin, write_meshes
@@ -43,7 +46,9 @@ SURVEY = "survey"
 # Positions in a texel at which the survey looks, in texels from its middle; the first gives the material.
 _LOOKS = ((0.0, 0.0), (-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))
 GROUND, BUILDINGS, TRUNKS = "ground", "buildings", "trunks"
-# Distance of the ground's posts [m]: walls and crowns are not in it, so that it is smooth.
+# Points of a side between which map positions are interpolated.
+_LATTICE = 33
+# Least distance of the ground's posts [m]: walls and crowns are not in it, so that it is smooth.
 _POST_M = 1.0
 
 
@@ -53,7 +58,9 @@ class World:
 
     scene: SyntheticScene  # Of the bare ground: its elevation, classes, deviations and weather
     meshes: tuple[TexturedMesh, ...]  # The ground first; coloured by albedo. Heights are above the ellipsoid.
-    ground_normal: NDArray[np.float32]  # (3, N, N) float32 normals of the ground's texels with their small relief
+    # (3, h, w) float32 normals of the texels of some of the meshes, by name, with relief that is not in the mesh
+    normals: dict[str, NDArray[np.float32]]
+    deviations: dict[str, Deviations]  # Of the texels of some of the meshes, by name
     # Crowns and hedges by shape and material; heights are above the ellipsoid
     plants: dict[tuple[str, str], Bodies]
 
@@ -72,13 +79,22 @@ def make_world(
     canvas, solids = made.canvas, made.canvas.solids
     assert solids is not None
     normal = np.stack(normals(canvas.surface + canvas.relief, made.texel, steepest=1.3))
-    meshes = [_ground(made.canvas.surface, canvas.albedo, canvas.material, made.size)]
+    ground, post = _ground(canvas, max(_POST_M, made.post))
+    far = Surroundings(canvas, post, KINDS[kind].reach_m, float(canvas.surface.max()) + KINDS[kind].heights_m[1])
+    KINDS[kind].around(far)
+    meshes = [ground]
     if len(solids.quads):
         meshes.append(solids.quads.mesh(BUILDINGS))
     if solids.plants.trunks:
         meshes.append(solids.plants.mesh(TRUNKS))
-    plants = {key: each for key, each in solids.plants.bodies.items() if _inside(each, 0.5 * made.size)}
-    return World(scene_of(made), (meshes[0], *(_within(mesh, 0.5 * made.size) for mesh in meshes[1:])), normal, plants)
+    scene = scene_of(made)
+    mirrored = {name: far.mirrored(values) for name, values in vars(scene.deviations).items()}
+    return World(
+        scene, (ground, *(_within(mesh, 0.5 * made.size) for mesh in meshes[1:]), far.mesh()),
+        {GROUND: normal, SURROUNDINGS: far.normals()},
+        {GROUND: scene.deviations, SURROUNDINGS: Deviations(**mirrored)},
+        {key: each for key, each in solids.plants.bodies.items() if _inside(each, 0.5 * made.size)},
+    )  # fmt: skip
 
 
 def _inside(bodies: Bodies, half: float) -> bool:
@@ -94,13 +110,14 @@ def _within(mesh: TexturedMesh, half: float) -> TexturedMesh:
     return replace(mesh, faces=mesh.faces[inside], uv=mesh.uv[inside])
 
 
-def _ground(
-    surface: NDArray[np.float32], albedo: NDArray[np.float32], material: NDArray[np.uint8], size: float
-) -> TexturedMesh:
-    """The ground as a TexturedMesh of cells of about 1 m, whose corners have the mean heights around them."""
+def _ground(canvas: Canvas, post_m: float) -> tuple[TexturedMesh, NDArray[np.float64]]:
+    """The ground as a TexturedMesh of cells of about `post_m`, and the heights of its posts (K + 1, K + 1) [m], means
+    around them.
+    """
     import cv2
 
-    count = max(2, round(size / _POST_M))
+    surface, size = canvas.surface, canvas.size
+    count = max(2, round(size / post_m))
     cells = cv2.resize(surface - surface.mean(), (count, count), interpolation=cv2.INTER_AREA)
     around = np.pad(cells, 1, "edge").astype(np.float64)
     post = 0.25 * (around[:-1, :-1] + around[:-1, 1:] + around[1:, :-1] + around[1:, 1:]) + float(surface.mean())
@@ -111,7 +128,8 @@ def _ground(
     a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]))
     faces = np.concatenate([np.stack([a, c, d], axis=-1), np.stack([a, d, b], axis=-1)])
     uv = np.stack([u.ravel(), v.ravel()], axis=-1)[faces].astype(np.float32)
-    return TexturedMesh(GROUND, vertices, faces, uv, bytes_from_linear(np.clip(albedo, 0.0, 1.0)), material)
+    colour = bytes_from_linear(np.clip(canvas.albedo, 0.0, 1.0))
+    return TexturedMesh(GROUND, vertices, faces, uv, colour, canvas.material), post
 
 
 def write(world: World, directory: str | Path, overwrite: bool = False, progress: Progress | None = None) -> Path:
@@ -124,22 +142,22 @@ def write(world: World, directory: str | Path, overwrite: bool = False, progress
     flight = {("up_m" if key == "above_ground_m" else key): value for key, value in flight.items()} | {"up_m": up}
     with atomic_folder(directory, overwrite) as draft:
         write_leaf_tables(draft)
-        bare = scene
-        scene = replace(bare, objects=(*bare.objects, *write_bodies(draft, world.plants, frame.height_m)))
-        tables = _declare(draft, scene, frame, meshes, known=False)
+        planted = replace(scene, objects=(*scene.objects, *write_bodies(draft, world.plants, frame.height_m)))
+        tables = _declare(draft, planted, frame, meshes, known=False)
         loaded = load_scene(draft)
         geometry = Geometry(activate(), loaded.surfaces)
         # Other objects are those of the survey too: neither they nor their shadows are in its rasters.
         crowns = [surface for surface in loaded.surfaces if isinstance(surface.instances, Crowns)]
         terrain = Geometry(activate(), [*loaded.surfaces[: loaded.terrain_count], *crowns])
         meshes = _lit(loaded, terrain, meshes, world)
-        kelvin, leaves = _true_kelvin(loaded, geometry, scene, progress)
+        kelvin, warm_k, leaves = _true_kelvin(loaded, geometry, world, progress)
+        scene, seen = (replace(each, objects=_solved(each.objects, warm_k)) for each in (scene, world.scene))
+        for bodies in world.plants.values():
+            bodies.kelvin = leaves[bodies.name]
+        scene = replace(scene, objects=(*scene.objects, *write_bodies(draft, world.plants, frame.height_m)))
         for table, mesh in zip(tables, meshes, strict=True):
             table["temperature"] = f"{mesh.name}_kelvin.tif"
             write_kelvin(draft / table["temperature"], kelvin[mesh.name])
-        for bodies in world.plants.values():
-            bodies.kelvin = leaves[bodies.name]
-        scene = replace(bare, objects=(*bare.objects, *write_bodies(draft, world.plants, frame.height_m)))
         _declare(draft, scene, frame, meshes, known=True)
         write_text(draft / "flight.csv", flight_csv(flight))
         colour = _by_surface(loaded, {mesh.name: mesh.colour.reshape(-1, 3) for mesh in meshes})
@@ -147,7 +165,7 @@ def write(world: World, directory: str | Path, overwrite: bool = False, progress
         colour = np.concatenate([colour, *(each.colour.reshape(-1, 3) for each in crowns)])
         warm = np.concatenate([warm, *(_texels(leaves[each.name.split(":")[0]], each) for each in crowns)])
         (draft / SURVEY).mkdir()
-        write_survey(world.scene, frame, terrain, draft / SURVEY, loaded, colour, warm)
+        write_survey(seen, frame, terrain, draft / SURVEY, loaded, colour, warm)
         write_text(draft / SURVEY / "flight.csv", flight_csv(flight))
     return Path(directory)
 
@@ -190,7 +208,7 @@ def _declare(
     folder: Path, scene: SyntheticScene, frame: LocalFrame, meshes: list[TexturedMesh], known: bool
 ) -> list[dict[str, Any]]:
     """Write mesh, classes and scene.toml; return the [[surface]] tables."""
-    tables = write_meshes(folder, meshes)
+    tables = write_meshes(folder, meshes, photographs=True)
     if known:
         tables = [{**table, "temperature": f"{table['name']}_kelvin.tif"} for table in tables]
     assert scene.weather.air_high_c is not None
@@ -224,9 +242,9 @@ def _split(loaded: Scene, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
 def _lit(loaded: Scene, geometry: Geometry, meshes: list[TexturedMesh], world: World) -> list[TexturedMesh]:
     """The meshes with the colours of a photograph: lit by sun and sky, exposed as the orthophoto of a 2.5-D scene."""
     scene = world.scene
-    bare = {mesh.name: np.full((mesh.classes.size, 3), np.nan, np.float32) for mesh in meshes}
-    bare[meshes[0].name] = np.moveaxis(world.ground_normal, 0, -1).reshape(-1, 3)
-    light = daylight(geometry, loaded.terrain_count, scene.sun, _by_surface(loaded, bare))
+    normal = {mesh.name: np.full((mesh.classes.size, 3), np.nan, np.float32) for mesh in meshes}
+    normal |= {name: np.moveaxis(values, 0, -1).reshape(-1, 3) for name, values in world.normals.items()}
+    light = daylight(geometry, loaded.terrain_count, scene.sun, _by_surface(loaded, normal))
     albedo = linear_from_bytes(_by_surface(loaded, {mesh.name: mesh.colour.reshape(-1, 3) for mesh in meshes}))
     shot = exposed(albedo, light.cosine, light.sky, scene.sun[1], scene.weather.cloud or 0.0)
     lit = _split(loaded, np.where(light.shown[:, None], bytes_from_linear(shot), bytes_from_linear(albedo)))
@@ -234,19 +252,22 @@ def _lit(loaded: Scene, geometry: Geometry, meshes: list[TexturedMesh], world: W
 
 
 def _true_kelvin(
-    loaded: Scene, geometry: Geometry, scene: SyntheticScene, progress: Progress | None
-) -> tuple[dict[str, NDArray[np.float32]], dict[str, NDArray[np.float64]]]:
-    """({mesh: (h, w) [K]}, {object of crowns: (n, 4) columns of KELVIN}): the true temperatures, from drawn properties
-    as in 2.5-D."""
+    loaded: Scene, geometry: Geometry, world: World, progress: Progress | None
+) -> tuple[dict[str, NDArray[np.float32]], dict[str, float], dict[str, NDArray[np.float64]]]:
+    """({mesh: (h, w) [K]}, {object: [K]}, {object of crowns: (n, 4) columns of KELVIN}): the true temperatures, from
+    drawn properties as in 2.5-D, and mean ones of solid objects.
+    """
     assert loaded.time is not None
-    true, exchange = drawn(loaded, scene.kind, scene.seed)
+    true, exchange = drawn(loaded, world.scene.kind, world.scene.seed)
     sizes = {_name(surface): surface.material.size for surface in loaded.surfaces[: loaded.terrain_count]}
+    bodies = loaded.surfaces[loaded.terrain_count : loaded.solved_count]
     fields = {}
-    for name, values in vars(scene.deviations).items():
-        own = {mesh: np.ones(size, np.float32) for mesh, size in sizes.items()} | {"ground": np.ravel(values)}
-        objects = loaded.surfaces[loaded.terrain_count : loaded.solved_count]
-        others = np.ones(sum(each.material.size for each in objects), np.float32)
-        fields[name] = np.concatenate([_by_surface(loaded, own), others])
+    for name in vars(world.scene.deviations):
+        own = {mesh: np.ones(size, np.float32) for mesh, size in sizes.items()}
+        own |= {mesh: np.ravel(getattr(values, name)) for mesh, values in world.deviations.items()}
+        # Objects are as their tables say.
+        objects = [np.ones(each.material.size, np.float32) for each in bodies]
+        fields[name] = np.concatenate([_by_surface(loaded, own), *objects])
     fields["exchange"] = np.float32(exchange) * fields["exchange"]
     found = solved(true, [loaded.time], geometry, progress, Deviations(**fields))[0]
     kelvin = np.concatenate([surface.temperature.ravel() for surface in found.surfaces[: found.terrain_count]])
@@ -258,12 +279,56 @@ def _true_kelvin(
             mean, more = (each.reshape(-1)[:count].reshape(-1, 2, 2).mean(axis=2)
                           for each in (surface.temperature, surface.scatter_k))  # fmt: skip
             leaves[surface.name.split(":")[0]] = np.column_stack([mean, mean + more]).astype(np.float64)
-    return _split(loaded, kelvin), leaves
+    return _split(loaded, kelvin), _seen_k(found), leaves
 
 
 def _texels(kelvin: NDArray[np.float64], crowns: Surface) -> NDArray[np.float64]:
     """Mean temperatures of leaves, (n, 4) columns of KELVIN, on the texels of crowns."""
     return np.resize(np.repeat(kelvin[:, :2], 2, axis=1).reshape(-1), crowns.material.size)
+
+
+def _seen_k(scene: Scene) -> dict[str, float]:
+    """{object: temperature [K] of a blackbody with its mean emission}, over its faces by how much sky is above each."""
+    sums: dict[str, NDArray[np.float64]] = {}
+    for body in scene.surfaces[scene.terrain_count : scene.solved_count]:
+        if body.instances is not None:
+            continue
+        corner = body.vertices[body.faces]
+        across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        # Area times the view factor of the sky, (1 + cos) / 2, of a face in the open.
+        share = np.linalg.norm(across, axis=1) + across[:, 2]
+        # Each face has a texel of its own.
+        emitted = share @ body.temperature.ravel()[: len(share)].astype(np.float64) ** 4
+        name = body.name.split(":")[0]
+        sums[name] = sums.get(name, np.zeros(2)) + (emitted, share.sum())
+    return {name: float((emitted / share) ** 0.25) for name, (emitted, share) in sums.items()}
+
+
+def _solved(objects: Sequence[dict[str, Any]], kelvin: dict[str, float]) -> tuple[dict[str, Any], ...]:
+    """[[object]] tables with solved temperatures in place of what they are solved from."""
+    known = []
+    for item in objects:
+        if item["name"] in kelvin:
+            item = {key: value for key, value in item.items() if key != "inner_heat_w"}
+            item["temperature"] = round(kelvin[item["name"]], 1)
+        known.append(item)
+    return tuple(known)
+
+
+def _positions(frame: LocalFrame, grid: Grid, across: float, down: float) -> NDArray[np.float64]:
+    """Positions (n, 3) in a local frame [m] of the texels of a grid, moved by (`across`, `down`) from their middles.
+
+    They are interpolated between those of 33² points, by parabolas.
+    """
+    from scipy.interpolate import RectBivariateSpline
+
+    line = [np.linspace(0.0, count, _LATTICE) for count in (grid.height, grid.width)]
+    row, column = np.meshgrid(*line, indexing="ij")
+    longitude, latitude = lon_lat(grid, *(each.ravel() for each in grid.to_map(column, row)))
+    known = frame.enu_from_geodetic(latitude, longitude, np.full(longitude.size, frame.height_m))
+    at = np.arange(grid.height) + 0.5 + down, np.arange(grid.width) + 0.5 + across
+    axes = (RectBivariateSpline(*line, axis.reshape(row.shape), kx=2, ky=2)(*at).ravel() for axis in known.T)
+    return np.column_stack(list(axes))
 
 
 def write_survey(
@@ -282,9 +347,7 @@ def write_survey(
     material = np.concatenate([surface.material.ravel() for surface in geometry.surfaces])
     height = shot = warm = 0.0  # type: Any
     for number, (across, down) in enumerate(_LOOKS):
-        column, row = np.meshgrid(*(np.arange(grid.width) + 0.5 + shift for shift in (across, down)))
-        longitude, latitude = lon_lat(grid, *(each.ravel() for each in grid.to_map(column, row)))
-        place = frame.enu_from_geodetic(latitude, longitude, np.full(longitude.size, frame.height_m))
+        place = _positions(frame, grid, across, down)
         up, texel = from_above(geometry, place[:, 0], place[:, 1])
         # Map and ground differ by the map's scale: at the edge the outermost ray may miss.
         missed = texel < 0

@@ -16,9 +16,10 @@ from thermorender.apps.lands.procedural.buildings import (
     panels,
     street,
 )
-from thermorender.apps.lands.procedural.canvas import Canvas, crowns, plant, scatter, spline
+from thermorender.apps.lands.procedural.canvas import Canvas, Road, crowns, plant, scatter, spline
 from thermorender.apps.lands.procedural.light import linear
 from thermorender.apps.lands.procedural.noise import Values, smoothstep
+from thermorender.apps.lands.procedural.surroundings import Surroundings
 from thermorender.scene.spec import WeatherSpec
 
 LATITUDE_DEG = 51.9
@@ -69,6 +70,7 @@ def village(canvas: Canvas) -> tuple[list[dict[str, Any]], dict[str, NDArray[np.
     taken = np.zeros(c.shape, bool)
     for points, half in ((north, 2.5), (south, 2.4), (main, 3.1)):
         street(c, points, half, fine, soft, taken)
+        c.roads.append(Road(points, half, linear(118, 116, 113), "asphalt"))
     pond = (right - 0.16 * s, (0.16 + roads.uniform(-0.01, 0.06)) * s)
     taken |= np.hypot(c.east - pond[0], c.north - pond[1]) < 19.0
     g = c.stream("plots")
@@ -82,6 +84,29 @@ def village(canvas: Canvas) -> tuple[list[dict[str, Any]], dict[str, NDArray[np.
     _parked(c, g, main, objects)
     _green(c, taken, plants)
     return objects, _flight(c, main)
+
+
+def around(far: Surroundings) -> None:
+    """Paint fields, meadows and copses out to wooded hills."""
+    far.hills(4.0, 900.0)
+    beyond = far.beyond(30.0)
+    hue, fine = far.fractal("hue", 90.0, 6, 0.6), far.fractal("fine", 8.0, 3, 0.7)
+    far.paint(beyond, linear(126, 134, 82) * np.exp(0.12 * hue + 0.12 * fine)[..., None], "grass_green")
+    number, border = far.plots("fields", 300.0, 85.0)
+    kinds = far.stream("far crops").integers(0, 6, number.max() + 1)[number]
+    inside = beyond * smoothstep(0.5, 2.5, border)
+    for index, (colour, material) in enumerate(
+        [((192, 174, 130), "grass_dry"), ((122, 98, 76), "soil_loam"), ((104, 128, 64), "grass_green"),
+         ((176, 164, 116), "grass_dry")]
+    ):  # fmt: skip
+        tone = linear(*colour) * np.exp(0.07 * hue + 0.06 * fine)[..., None]
+        far.paint(inside * (kinds == index), tone, material)
+    hedge = beyond * smoothstep(4.0, 2.0, border) * (number % 3 == 0)
+    far.paint(hedge, linear(92, 108, 60) * np.exp(0.2 * fine)[..., None], "broadleaf")
+    far.continue_roads()
+    sparse = far.fractal("woods", 900.0, 5, 0.5) + 0.2 * far.fractal("edges", 60.0, 4)
+    whole = np.maximum(np.abs(far.east), np.abs(far.north)) / far.reach
+    far.woods(sparse - 0.9 + 1.0 * whole, 13.0, [(104, 120, 66), (96, 112, 66)], "broadleaf")
 
 
 def _land(c: Canvas, fine: Values, soft: Values) -> None:

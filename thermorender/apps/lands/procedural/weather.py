@@ -10,7 +10,7 @@ from thermorender.apps.lands.procedural.noise import stream
 from thermorender.atmosphere.declared_air import declared_air
 from thermorender.physics import sun
 from thermorender.physics.humidity import LAPSE_K_M
-from thermorender.scene.spec import AtmosphereSpec, WeatherSpec
+from thermorender.scene.spec import BALANCE, AtmosphereSpec, WeatherSpec
 from thermorender.weather.declared_weather import declared_weather
 from thermorender.weather.series import Conditions
 
@@ -106,6 +106,15 @@ def sun_of_photograph(time: np.datetime64, latitude_deg: float) -> tuple[float, 
     return azimuth, elevation
 
 
+def balanced(items: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return [[object]] tables with temperatures that the heat balance solves, but for those with the key `heated`."""
+    return [
+        {key: value for key, value in item.items() if key != "heated"}
+        | ({} if item.get("heated") else {"temperature": BALANCE})
+        for item in items
+    ]
+
+
 def follows(
     items: Sequence[dict[str, Any]], found: tuple[float, float], usual: tuple[float, float]
 ) -> list[dict[str, Any]]:
@@ -116,6 +125,7 @@ def follows(
     made = []
     for item in items:
         item = dict(item)
+        item.pop("inner_heat_w", None)
         if not item.pop("heated", False):
             share = found[1] / usual[1]
             item["temperature"] = round(found[0] + share * (item["temperature"] - usual[0]), 1)
