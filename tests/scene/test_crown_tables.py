@@ -142,6 +142,8 @@ TABLE = r"temperature='.*kelvin.csv' is not allowed; give a table with leaf_area
         ({"leaf_area_1_m": None}, r"has the column 'width_m'; give a header with east_m"),
         ({"leaf_area_1_m": 0.0}, r"leaf_area_1_m=0.0 .*0.001"),
         ({"leaf_area_1_m": 1000.0}, r"leaf_area_1_m=1000.0 .*100"),
+        ({"leaf_area_1_m": None, "leaf_m": 0.2, "trees": PLACE + "\n0,0\n"}, r"leaf_m=0.2 .*with leaf_area_1_m only"),
+        ({"leaf_m": 0.0}, r"leaf_m=0.0 .*0.001"),
         ({"shape": "disc"}, r"leaf_area_1_m=1.0 .*shape='box' or 'sphere'"),
         ({"shape": None, "file": "trees.csv"}, r"leaf_area_1_m=1.0 .*shape='box' or 'sphere'"),
         ({"instances": None, "track": "trees.csv"}, r"leaf_area_1_m=1.0 .*without track: a crown stands still"),
