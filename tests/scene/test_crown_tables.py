@@ -55,6 +55,8 @@ def test_size_density_and_colour_of_the_object_are_those_of_a_table_without_them
     np.testing.assert_allclose(body.middle, [[0, 0, 3.5], [2, 1, 7.25]])
     np.testing.assert_allclose(body.density, 0.7)
     assert body.box and (surface.colour == [9, 8, 7]).all()
+    (folder / "trees.csv").write_text("east_m,north_m,green\n0,0,50\n")
+    assert (tr.load_scene(folder).surfaces[1].colour == [9, 50, 7]).all()
 
 
 def test_an_object_without_a_table_is_one_crown(tmp_path):
@@ -140,6 +142,8 @@ TABLE = r"temperature='.*kelvin.csv' is not allowed; give a table with leaf_area
         ({"leaf_area_1_m": None}, r"has the column 'width_m'; give a header with east_m"),
         ({"leaf_area_1_m": 0.0}, r"leaf_area_1_m=0.0 .*0.001"),
         ({"leaf_area_1_m": 1000.0}, r"leaf_area_1_m=1000.0 .*100"),
+        ({"leaf_area_1_m": None, "leaf_m": 0.2, "trees": PLACE + "\n0,0\n"}, r"leaf_m=0.2 .*with leaf_area_1_m only"),
+        ({"leaf_m": 0.0}, r"leaf_m=0.0 .*0.001"),
         ({"shape": "disc"}, r"leaf_area_1_m=1.0 .*shape='box' or 'sphere'"),
         ({"shape": None, "file": "trees.csv"}, r"leaf_area_1_m=1.0 .*shape='box' or 'sphere'"),
         ({"instances": None, "track": "trees.csv"}, r"leaf_area_1_m=1.0 .*without track: a crown stands still"),

@@ -140,9 +140,8 @@ def placed(surface: Surface, place: Mapping[str, Floats], density_1_m: float, le
     crowns = Crowns(surface.name.endswith(":box"), middle, half, place["yaw_deg"], density, leaf_m)
     vertices, faces = crowns.stand_ins()
     uv, shape = one_texel_each(len(faces))
-    own = np.broadcast_to(surface.colour[:1, 0], (count, 3))
-    if "red" in place:
-        own = np.stack([place[name] for name in ("red", "green", "blue")], axis=-1).round().astype(np.uint8)
+    bands = zip(("red", "green", "blue"), surface.colour[0, 0], strict=True)
+    own = np.stack([place.get(name, np.full(count, each)) for name, each in bands], axis=-1).round().astype(np.uint8)
     temperature, scatter = np.full(shape, surface.temperature.flat[0]), None
     if KELVIN[0] in place:
         quarters = np.repeat(np.stack([place[name] for name in KELVIN], axis=-1), 2, axis=1)

@@ -40,6 +40,7 @@ def run(seed=401, views=2, size_m=60.0, device="auto"):
         )  # fmt: skip
         weather = load_scene(made).spec.weather
         scene = load_scene(Path(folder) / "imported").with_weather(weather).with_temperature("balance")
+        scene = scene.with_objects({each.name: "balance" for each in scene.spec.objects})
         renderer = study.renderer_of(scene, device)
         random = np.random.default_rng(seed)
         seen = []

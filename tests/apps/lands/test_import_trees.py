@@ -22,7 +22,7 @@ STATION = "time,air_c\n" + "".join(
 
 
 def planted():
-    """Heights of the ground and the surface [m], and trees (east, north, radius, height, top of the rough crown)."""
+    """Heights of ground and surface [m], and the trees' (east, north, radius, height, top of the rough crown)."""
     random = np.random.default_rng(7)
     row, column = np.mgrid[:SIDE, :SIDE] + 0.5
     ground = 40.0 + 0.02 * column

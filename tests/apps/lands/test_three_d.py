@@ -178,6 +178,16 @@ def test_a_world_and_its_survey_are_the_same_from_above(tmp_path):
     assert {"brick_painted", "brick_clay"} & set(names)
     kelvin = np.concatenate([surface.temperature.ravel() for surface in world.surfaces])
     assert kelvin.min() > 280.0 and kelvin.max() < 345.0
+    # Leaves of crowns have temperatures of their own, and some are in the sun.
+    (crowns,) = (surface for surface in world.surfaces if surface.instances is not None)
+    body, count = crowns.instances, len(crowns.faces)
+    assert not body.box and len(body) > 12 and np.abs(body.middle[:, :2]).max() <= 24.0
+    warm, more = crowns.temperature.ravel()[:count], crowns.scatter_k.ravel()[:count]
+    assert len(np.unique(warm)) > len(body) and np.ptp(warm) < 6.0 and 0.3 < more.max() < 6.0
+    # The survey shows the tops of crowns, and classes of leaves there.
+    top = body.middle[np.argsort(body.middle[:, 2])[-5:]]
+    above = survey.ground(top[:, 0], top[:, 1]) - world.ground(top[:, 0], top[:, 1])
+    assert (above > 2.0).all()
 
 
 @pytest.mark.slow
