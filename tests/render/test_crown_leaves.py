@@ -94,7 +94,9 @@ def drawn(renderer, random):
     weight = np.stack([1.0 - shell, shell], axis=1)[:, :, None] * np.stack([1.0 - upper, upper], axis=-1)
     low, more = ((weight.reshape(-1, 4) * each[of]).sum(axis=1) for each in (shaded, excess))
     kelvin = low + more * lit * 2.0 * np.abs(normal @ towards)
-    return scene.with_surfaces([scene.surfaces[0], solid(kelvin)], terrain_count=1)
+    made = scene.with_surfaces([scene.surfaces[0], solid(kelvin)], terrain_count=1)
+    # The ground keeps its temperatures: leaves that are drawn would have other shadows.
+    return made.with_solved_temperatures(scene.time, [scene.surfaces[0].temperature])
 
 
 @pytest.mark.slow
@@ -109,7 +111,7 @@ def test_crowns_have_the_mean_of_their_leaves_and_state_the_scatter(tmp_path, pl
     for seed in range(SEEDS):
         scene = drawn(renderer, np.random.default_rng(seed))
         # 256 rays for each pixel: of 4 × 4 finer ones, whose number of rays is the largest.
-        truth = tr.Renderer(scene.with_camera(fine.camera), rays=32, samples=16, edge_mk=np.inf)
+        truth = tr.Renderer(scene.with_camera(fine.camera), rays=128, samples=16, edge_mk=np.inf)
         found = []
         for slant, azimuth, away in views:
             up, turn = np.radians([slant, azimuth])
