@@ -118,9 +118,10 @@ def write(world: World, directory: str | Path, overwrite: bool = False, progress
         tables = _declare(draft, scene, frame, meshes, known=False)
         loaded = load_scene(draft)
         geometry = Geometry(activate(), loaded.surfaces)
-        # Objects are those of the survey too: neither they nor their shadows are in its rasters.
+        # Objects are those of the survey too: neither they nor their shadows are in its rasters, but for the little sky
+        # that they hide, which is traced once for all.
         terrain = Geometry(activate(), loaded.surfaces[: loaded.terrain_count])
-        meshes = _lit(loaded, terrain, meshes, world)
+        meshes = _lit(loaded, terrain, meshes, world, geometry)
         kelvin = _true_kelvin(loaded, geometry, scene, progress)
         for table, mesh in zip(tables, meshes, strict=True):
             table["temperature"] = f"{mesh.name}_kelvin.tif"
@@ -204,12 +205,14 @@ def _split(loaded: Scene, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
     return {_name(s): part.reshape(*s.material.shape, *part.shape[1:]) for s, part in zip(terrain, parts, strict=True)}
 
 
-def _lit(loaded: Scene, geometry: Geometry, meshes: list[TexturedMesh], world: World) -> list[TexturedMesh]:
+def _lit(
+    loaded: Scene, geometry: Geometry, meshes: list[TexturedMesh], world: World, around: Geometry
+) -> list[TexturedMesh]:
     """The meshes with the colours of a photograph: lit by sun and sky, exposed as the orthophoto of a 2.5-D scene."""
     scene = world.scene
     bare = {mesh.name: np.full((mesh.classes.size, 3), np.nan, np.float32) for mesh in meshes}
     bare[meshes[0].name] = np.moveaxis(world.ground_normal, 0, -1).reshape(-1, 3)
-    light = daylight(geometry, loaded.terrain_count, scene.sun, _by_surface(loaded, bare))
+    light = daylight(geometry, loaded.terrain_count, scene.sun, _by_surface(loaded, bare), around)
     albedo = linear_from_bytes(_by_surface(loaded, {mesh.name: mesh.colour.reshape(-1, 3) for mesh in meshes}))
     shot = exposed(albedo, light.cosine, light.sky, scene.sun[1], scene.weather.cloud or 0.0)
     lit = _split(loaded, np.where(light.shown[:, None], bytes_from_linear(shot), bytes_from_linear(albedo)))
