@@ -91,6 +91,10 @@ def test_a_body_is_cut_where_another_rises_before_it_and_not_beneath(tmp_path):
     # Nothing rises before the block's top: a quarter of its extent.
     roof = shown(above, 0.9)
     assert 0.25 < longest(roof).max() <= 0.5 and len(above.faces) < 1000
+    # The block stands behind the slab's underside: a quarter of the slab's extent, but for cuts that meet the sides'.
+    flat = below.vertices[below.faces].astype(float)
+    under_slab = flat[np.ptp(flat[..., 2], axis=1) + flat[..., 2].max(axis=1) < flat[..., 2].min() + 0.01]
+    assert np.median(longest(under_slab)) > 1.0
     # Cuts meet: every edge of the closed bodies has two triangles.
     for surface in (below, above):
         assert (edges_of(surface)[1] == 2).all()

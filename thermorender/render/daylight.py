@@ -24,14 +24,16 @@ class Daylight(NamedTuple):
 
 
 def daylight(
-    geometry: Geometry, surfaces: int, sun: tuple[float, float], normal: NDArray[np.float32] | None = None
-) -> Daylight:
+    geometry: Geometry, surfaces: int, sun: tuple[float, float], normal: NDArray[np.float32] | None = None,
+    around: Geometry | None = None,
+) -> Daylight:  # fmt: skip
     """Return the Daylight on the texels of the first `surfaces` of a geometry. `sun` is azimuth and elevation [deg];
-    `normal` (T, 3) are normals of the texels, NaN for those of their faces."""
+    `normal` (T, 3) are normals of the texels, NaN for those of their faces. The sky is that which `around` leaves, a
+    geometry that begins with the same surfaces."""
     mi, face = geometry.mi, geometry.face_showing(surfaces)
     shown = face < geometry.face_count
     cosine, sky = np.zeros(len(face), np.float32), np.zeros(len(face), np.float32)
-    sky[shown] = transport_cache.traced(geometry, _RAYS)[0].sky.sum(axis=1)[face[shown]]
+    sky[shown] = transport_cache.traced(around or geometry, _RAYS)[0].sky.sum(axis=1)[face[shown]]
     corner = np.concatenate([each.vertices[each.faces] for each in geometry.surfaces[:surfaces]])
     across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     across = (across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)).astype(np.float32)

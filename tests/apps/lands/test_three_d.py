@@ -97,6 +97,23 @@ def test_photographs_are_jpeg_where_that_is_smaller_and_map_places_are_kept(tmp_
     assert sizes[0] < 0.6 * sizes[1]
 
 
+def test_a_mesh_of_more_corners_than_16_bits_number_comes_back_whole(tmp_path):
+    line = np.arange(151.0)
+    x, y = (each.ravel() for each in np.meshgrid(line, line))
+    vertices = np.column_stack([x, y, np.sin(x) + np.cos(y)])
+    a = np.arange(151 * 150).reshape(150, 151)[:, :-1].ravel()
+    faces = np.concatenate([np.stack([a, a + 1, a + 152], -1), np.stack([a, a + 152, a + 151], -1)])
+    # No two faces share a place on the map, so every corner is a vertex of the file.
+    uv = np.random.default_rng(6).random((len(faces), 3, 2)).astype(np.float32)
+    picture = np.zeros((4, 4, 3), np.uint8)
+    write_mesh(tmp_path / "g.glb", [TexturedMesh("ground", vertices, faces, uv, picture, picture[..., 0])])
+    (part,) = load(tmp_path / "g.glb", named=("ground",))
+    corner, whole = part.vertices[part.faces], vertices[faces]
+    first, second = (np.lexsort(each.mean(axis=1)[:, :2].round(3).T) for each in (corner, whole))
+    assert len(corner) == 45_000 and np.abs(corner[first] - whole[second]).max() < 1e-4
+    assert np.abs(part.uv[first] - uv[second]).max() < 1e-5
+
+
 def test_stored_temperatures_are_rounded_to_five_millikelvin(tmp_path):
     kelvin = np.random.default_rng(4).uniform(240.0, 390.0, (30, 50))
     write_kelvin(tmp_path / "k.tif", kelvin)

@@ -146,10 +146,11 @@ def write(world: World, directory: str | Path, overwrite: bool = False, progress
         tables = _declare(draft, planted, frame, meshes, known=False)
         loaded = load_scene(draft)
         geometry = Geometry(activate(), loaded.surfaces)
-        # Other objects are those of the survey too: neither they nor their shadows are in its rasters.
+        # Other objects are those of the survey too: neither they nor their shadows are in its rasters, but for the little
+        # sky that they hide, which is traced once for all.
         crowns = [surface for surface in loaded.surfaces if isinstance(surface.instances, Crowns)]
         terrain = Geometry(activate(), [*loaded.surfaces[: loaded.terrain_count], *crowns])
-        meshes = _lit(loaded, terrain, meshes, world)
+        meshes = _lit(loaded, terrain, meshes, world, geometry)
         kelvin, warm_k, leaves = _true_kelvin(loaded, geometry, world, progress)
         scene, seen = (replace(each, objects=_solved(each.objects, warm_k)) for each in (scene, world.scene))
         for bodies in world.plants.values():
@@ -239,12 +240,14 @@ def _split(loaded: Scene, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
     return {_name(s): part.reshape(*s.material.shape, *part.shape[1:]) for s, part in zip(terrain, parts, strict=True)}
 
 
-def _lit(loaded: Scene, geometry: Geometry, meshes: list[TexturedMesh], world: World) -> list[TexturedMesh]:
+def _lit(
+    loaded: Scene, geometry: Geometry, meshes: list[TexturedMesh], world: World, around: Geometry
+) -> list[TexturedMesh]:
     """The meshes with the colours of a photograph: lit by sun and sky, exposed as the orthophoto of a 2.5-D scene."""
     scene = world.scene
     normal = {mesh.name: np.full((mesh.classes.size, 3), np.nan, np.float32) for mesh in meshes}
     normal |= {name: np.moveaxis(values, 0, -1).reshape(-1, 3) for name, values in world.normals.items()}
-    light = daylight(geometry, loaded.terrain_count, scene.sun, _by_surface(loaded, normal))
+    light = daylight(geometry, loaded.terrain_count, scene.sun, _by_surface(loaded, normal), around)
     albedo = linear_from_bytes(_by_surface(loaded, {mesh.name: mesh.colour.reshape(-1, 3) for mesh in meshes}))
     shot = exposed(albedo, light.cosine, light.sky, scene.sun[1], scene.weather.cloud or 0.0)
     lit = _split(loaded, np.where(light.shown[:, None], bytes_from_linear(shot), bytes_from_linear(albedo)))

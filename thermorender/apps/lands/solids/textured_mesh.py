@@ -17,12 +17,12 @@ from thermorender.formats import atomic_raster, encoded_image, write_image
 MESH = "world.glb"
 # Step and base of stored temperatures [K]: rounding is 1.4 mK RMS.
 STEP_K, BASE_K = 0.005, 200.0
-# Options of rasterio for temperatures, without loss: LERC takes a seventh less of them than DEFLATE.
-PACKED_KELVIN: dict[str, Any] = {"compress": "lerc_zstd", "zstd_level": 22, "max_z_error": 0}
 # Quality of photographs, without loss of resolution in colour.
 _JPEG = 90
+# Faces of a primitive: 16 bits number all their corners, but for the last number, which glTF reserves.
+_FACES = 65535 // 3
 # glTF 2.0, sections 3.6.2, 4.4 and 5.1: component types, targets, and the chunks of a GLB.
-_FLOAT, _UINT16, _UINT32 = 5126, 5123, 5125
+_FLOAT, _UINT16 = 5126, 5123
 _GLTF, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
 
 
@@ -56,10 +56,11 @@ def write_mesh(path: Path, meshes: Sequence[TexturedMesh], photographs: bool = F
         return len(tree["bufferViews"]) - 1
 
     def accessor(values: NDArray[Any], kind: str, component: int, limits: bool = False) -> int:
+        """Number of an accessor; integers of several to a vertex are shares of their largest."""
         made: dict[str, Any] = {
             "bufferView": view(values.tobytes()), "componentType": component, "count": len(values), "type": kind,
         }  # fmt: skip
-        if component == _UINT16:
+        if component == _UINT16 and kind != "SCALAR":
             made["normalized"] = True
         if limits:
             made |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
@@ -67,12 +68,17 @@ def write_mesh(path: Path, meshes: Sequence[TexturedMesh], photographs: bool = F
         return len(tree["accessors"]) - 1
 
     for number, mesh in enumerate(meshes):
-        position, uv, index = _unique_corners(mesh)
-        attributes = {"POSITION": accessor(position, "VEC3", _FLOAT, True), "TEXCOORD_0": accessor(uv, "VEC2", _UINT16)}
-        faces = accessor(index, "SCALAR", _UINT32)
-        tree["meshes"].append(
-            {"name": mesh.name, "primitives": [{"attributes": attributes, "indices": faces, "material": number}]}
-        )
+        primitives = []
+        # Neighbours are together, so that few vertices are in two primitives.
+        for own in np.split(
+            order := np.argsort(mesh.faces.min(axis=1), kind="stable"), range(_FACES, len(order), _FACES)
+        ):
+            position, uv, index = _unique_corners(mesh, own)
+            attributes = {"POSITION": accessor(position, "VEC3", _FLOAT, True)}
+            attributes["TEXCOORD_0"] = accessor(uv, "VEC2", _UINT16)
+            indices = accessor(index, "SCALAR", _UINT16)
+            primitives.append({"attributes": attributes, "indices": indices, "material": number})
+        tree["meshes"].append({"name": mesh.name, "primitives": primitives})
         coat = {"baseColorTexture": {"index": number}, "metallicFactor": 0.0}
         tree["materials"].append({"name": mesh.name, "pbrMetallicRoughness": coat})
         tree["textures"].append({"source": number})
@@ -90,15 +96,17 @@ def write_mesh(path: Path, meshes: Sequence[TexturedMesh], photographs: bool = F
         part.write_bytes(head + chunks + body)
 
 
-def _unique_corners(mesh: TexturedMesh) -> tuple[NDArray[np.float32], NDArray[np.uint16], NDArray[np.uint32]]:
-    """(position (n, 3), map coordinates (n, 2), index (3 F,)) with each pair of them once; y up."""
-    corner = np.zeros(3 * len(mesh.faces), dtype=[("vertex", np.int64), ("u", np.uint16), ("v", np.uint16)])
-    uv = np.rint(np.clip(mesh.uv, 0.0, 1.0) * 65535.0).astype(np.uint16)
-    corner["vertex"], (corner["u"], corner["v"]) = mesh.faces.ravel(), uv.reshape(-1, 2).T
+def _unique_corners(
+    mesh: TexturedMesh, own: NDArray[np.integer]
+) -> tuple[NDArray[np.float32], NDArray[np.uint16], NDArray[np.uint16]]:
+    """(position (n, 3), map coordinates (n, 2), index (3 k,)) of `own` faces (k,), each pair of them once; y up."""
+    corner = np.zeros(3 * len(own), dtype=[("vertex", np.int64), ("u", np.uint16), ("v", np.uint16)])
+    uv = np.rint(np.clip(mesh.uv[own], 0.0, 1.0) * 65535.0).astype(np.uint16)
+    corner["vertex"], (corner["u"], corner["v"]) = mesh.faces[own].ravel(), uv.reshape(-1, 2).T
     found, index = np.unique(corner, return_inverse=True)
     east, north, up = mesh.vertices[found["vertex"]].T
     position = np.column_stack([east, up, -north]).astype(np.float32)
-    return position, np.column_stack([found["u"], found["v"]]), index.astype(np.uint32)
+    return position, np.column_stack([found["u"], found["v"]]), index.astype(np.uint16)
 
 
 def write_kelvin(path: Path, kelvin: NDArray[Any]) -> None:
@@ -114,7 +122,8 @@ def write_kelvin(path: Path, kelvin: NDArray[Any]) -> None:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         with atomic_raster(path) as part, rasterio.open(
             part, "w", driver="GTiff", count=1, dtype=counts.dtype, height=counts.shape[0], width=counts.shape[1],
-            **PACKED_KELVIN,
+            compress="zstd", zstd_level=15, predictor=2, tiled=True,
+            blockxsize=-(-counts.shape[1] // 16) * 16, blockysize=-(-counts.shape[0] // 16) * 16,
         ) as file:  # fmt: skip
             file.write(counts[None])
             file.scales, file.offsets, file.units = (STEP_K,), (BASE_K,), ("K",)
