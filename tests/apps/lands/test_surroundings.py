@@ -28,7 +28,7 @@ SIZE, POSTS = 60.0, 60
 
 def height(east, north):
     """Heights of a land with a slope and waves [m]."""
-    return 100.0 + 0.05 * east + 2.0 * np.sin(0.15 * east) * np.cos(0.11 * north)
+    return 100.0 + 0.05 * east + 2.0 * np.sin(0.15 * east + 0.3) * np.cos(0.11 * north + 0.5)
 
 
 def tone(east, north):
