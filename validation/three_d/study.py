@@ -81,7 +81,7 @@ def run(seeds=(401, 402, 403), views=3, size_m=90.0, maps=MAPS, progress=None, d
                 for _ in range(views):
                     at = drawn_pose(random, angle, size_m)
                     flat, true = draped.frame(at), solid.frame(at)
-                    kinds = _kinds(solid, true)
+                    kinds = _kinds(solid, true, size_m)
                     errors.append((angle, flat.apparent_temperature - true.apparent_temperature, kinds))
                     pictures = [photograph(each, at)[0] for each in (draped, solid)]
                     for name in maps:
@@ -143,11 +143,12 @@ def pose_at(target, angle_deg, yaw_deg):
     return pose(*(target - _DISTANCE_M * ahead), yaw_deg=yaw_deg, pitch_deg=-angle_deg)
 
 
-def _kinds(renderer, frame):
-    """Number of the kind of each pixel, (H, W) int, −1 where no surface is; KINDS[-1] is for all."""
+def _kinds(renderer, frame, size_m):
+    """Number of the kind of each pixel, (H, W) int, −1 beyond the surveyed square; KINDS[-1] is for all."""
     truth, names = frame.truth, [material.name for material in renderer.scene.materials]
     of = lambda chosen: np.isin(truth["material"], [k for k, name in enumerate(names) if name in chosen])  # noqa: E731
-    place = truth["position"]
+    surveyed = (np.abs(truth["position"][..., :2]) <= 0.5 * size_m).all(axis=-1)
+    place = np.where(surveyed[..., None], truth["position"], np.nan)
     # Normals from neighbours' positions tell panels on roofs from windows.
     upright = _upright(place)
     wall, crown = of(_WALLS) & upright, of(_CROWNS)
@@ -159,7 +160,7 @@ def _kinds(renderer, frame):
     small = car | (of(("wood",)) & ~upright)
     for name, mask in (("roof", roof), ("façade", wall), ("crown", crown), ("small", small)):
         kind[mask & (~car | (name == "small"))] = KINDS.index(name)
-    kind[(truth["mask"] & SURFACE) == 0] = -1
+    kind[~surveyed | ((truth["mask"] & SURFACE) == 0)] = -1
     return kind
 
 

@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from nicegui import ui
 
 from thermorender.apps.studio.editor import Editor
@@ -39,8 +40,11 @@ _ORIGINS = {
 
 def first_pose(session: Session) -> str:
     """Return the pose of the first view: over the middle of the terrain, from the south at 45°."""
-    vertices = session.base.surfaces[0].vertices
-    side = float((vertices[:, :2].max(axis=0) - vertices[:, :2].min(axis=0)).min())
+    base = session.base
+    corner = np.concatenate([each.vertices[each.faces[:, 0], :2] for each in base.surfaces[: base.terrain_count]])
+    # Of nearly all faces: a few large ones may reach to the horizon.
+    low, high = np.quantile(corner, (0.05, 0.95), axis=0)
+    side = float((high - low).min()) / 0.9
     return f"0,{-0.4 * side:.0f},{0.4 * side:.0f},0,-45,0"
 
 

@@ -139,10 +139,10 @@ class Surroundings(Painting):
         grown = (dense > 0.0) & ~open_land
         cells, _ = self._wooded.shape
         share = grown.reshape(cells, _ROWS, _SECTORS, _COLUMNS).mean(axis=(1, 3), dtype=np.float32)
-        # Most of the cells around have to be wooded too: single cells would be blocks.
+        # The cells around decide with each: single cells, and single gaps, would be blocks.
         around = cv2.blur(_wrapped(share, 1), (3, 3))[:, 1:-1]
         # The innermost cells are those that join the posts of the square.
-        self._wooded = (share > 0.5) & (around > 0.4) & (np.arange(cells)[:, None] > 0)
+        self._wooded = (around > 0.5) & (share > 0.1) & (np.arange(cells)[:, None] > 0)
         stand = self.fractal("stands", 160.0, 5)
         rough = self.stream("far crowns").standard_normal(self._canopy.shape)
         self._canopy = (height_m * np.exp(0.08 * self._at_corners(stand) + 0.10 * rough)).astype(np.float32)

@@ -146,8 +146,8 @@ def write(world: World, directory: str | Path, overwrite: bool = False, progress
         tables = _declare(draft, planted, frame, meshes, known=False)
         loaded = load_scene(draft)
         geometry = Geometry(activate(), loaded.surfaces)
-        # Other objects are those of the survey too: neither they nor their shadows are in its rasters, but for the little
-        # sky that they hide, which is traced once for all.
+        # Other objects are those of the survey too: neither they nor their shadows are in its rasters, but for the
+        # little sky that they hide, which is traced once for all.
         crowns = [surface for surface in loaded.surfaces if isinstance(surface.instances, Crowns)]
         terrain = Geometry(activate(), [*loaded.surfaces[: loaded.terrain_count], *crowns])
         meshes = _lit(loaded, terrain, meshes, world, geometry)

@@ -10,7 +10,7 @@ from thermorender.apps.lands.procedural.noise import stream
 from thermorender.atmosphere.declared_air import declared_air
 from thermorender.physics import sun
 from thermorender.physics.humidity import LAPSE_K_M
-from thermorender.scene.spec import BALANCE, AtmosphereSpec, WeatherSpec
+from thermorender.scene.spec import AtmosphereSpec, WeatherSpec
 from thermorender.weather.declared_weather import declared_weather
 from thermorender.weather.series import Conditions
 
@@ -110,7 +110,7 @@ def balanced(items: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return [[object]] tables with temperatures that the heat balance solves, but for those with the key `heated`."""
     return [
         {key: value for key, value in item.items() if key != "heated"}
-        | ({} if item.get("heated") else {"temperature": BALANCE})
+        | ({} if item.get("heated") else {"temperature": "balance"})
         for item in items
     ]
 

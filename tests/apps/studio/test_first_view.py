@@ -1,0 +1,30 @@
+"""The studio's first view."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("nicegui")
+
+from thermorender.apps.studio.page import first_pose
+
+
+def patch(half, cells):
+    """A square of `cells`² pairs of triangles around the origin."""
+    line = np.linspace(-half, half, cells + 1)
+    east, north = np.meshgrid(line, line)
+    index = np.arange((cells + 1) ** 2).reshape(cells + 1, cells + 1)
+    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
+    vertices = np.stack([east.ravel(), north.ravel(), 0.0 * east.ravel()], axis=-1)
+    return SimpleNamespace(vertices=vertices, faces=np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]))
+
+
+@pytest.mark.parametrize("more", [[], [patch(4000.0, 20)]])
+def test_the_first_view_is_of_the_land_that_has_most_faces(more):
+    """A ring of a few large faces out to 4 km does not move the camera away from a square of 100 m."""
+    surfaces = [*more, patch(50.0, 100), patch(9000.0, 200)]
+    session = SimpleNamespace(base=SimpleNamespace(surfaces=surfaces, terrain_count=len(more) + 1))
+    east, north, up, *angles = first_pose(session).split(",")
+    assert (east, angles) == ("0", ["0", "-45", "0"])
+    assert float(up) == -float(north) == pytest.approx(40.0, abs=2.0)
