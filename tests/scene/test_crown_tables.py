@@ -14,7 +14,11 @@ TREES = (
     "east_m,north_m,above_ground_m,width_m,length_m,height_m,leaf_area_1_m,yaw_deg,red,green,blue\n"
     "-3,2,1,4,3,5,1.2,30,10,20,30\n3,1.5,0.2,3,5,2,0.5,0,40.4,50,60\n"
 )
-KELVIN = "lower_k,upper_k,lower_sunlit_k,upper_sunlit_k\n288,290,291,294\n289,291,290.5,290\n"
+PARTS = ("core_lower", "core_upper", "shell_lower", "shell_upper")
+KELVIN = (
+    ",".join([f"{part}_k" for part in PARTS] + [f"{part}_sunlit_k" for part in PARTS])
+    + "\n288,290,287,289.5,291,294,292,295\n289,291,288,290,290.5,290,290,292\n"
+)
 
 
 def write_crowns(folder, trees=TREES, kelvin=None, **keys):
@@ -40,10 +44,10 @@ def test_columns_of_a_table_are_bodies(tmp_path):
     np.testing.assert_allclose(body.density, [1.2, 0.5])
     np.testing.assert_allclose(body.yaw_deg, [30, 0])
     assert not body.box and (surface.material == surface.material.flat[0]).all()
-    np.testing.assert_array_equal(surface.colour.reshape(-1, 3)[[0, 3, 4, 7]], [[10, 20, 30]] * 2 + [[40, 50, 60]] * 2)
-    # Of the two sides of leaves, in four patches.
+    np.testing.assert_array_equal(surface.colour.reshape(-1, 3)[[0, 7, 8, 15]], [[10, 20, 30]] * 2 + [[40, 50, 60]] * 2)
+    # Of the two sides of leaves, in four quarters.
     leaves = np.array([1.2 * 4 * 3 * 5, 0.5 * 3 * 5 * 2]) * np.pi / 6
-    np.testing.assert_allclose(body.area, np.repeat(0.5 * leaves, 4))
+    np.testing.assert_allclose(body.area, np.repeat(0.25 * leaves, 8))
 
 
 def test_size_density_and_colour_of_the_object_are_those_of_a_table_without_them(tmp_path):
@@ -70,12 +74,13 @@ def test_an_object_without_a_table_is_one_crown(tmp_path):
     np.testing.assert_allclose(crowns_of(moved)[1].middle, [[3, -2, 2.5]], atol=1e-5)
 
 
-def test_temperatures_of_a_table_are_those_of_the_halves(tmp_path):
+def test_temperatures_of_a_table_are_those_of_the_quarters(tmp_path):
     scene = tr.load_scene(write_crowns(tmp_path / "s", kelvin=KELVIN))
     surface, _ = crowns_of(scene)
-    np.testing.assert_array_equal(surface.temperature.ravel()[:8], [288, 288, 290, 290, 289, 289, 291, 291])
+    np.testing.assert_array_equal(surface.temperature.ravel()[:16:2], [288, 290, 287, 289.5, 289, 291, 288, 290])
+    np.testing.assert_array_equal(surface.temperature.ravel()[1:16:2], surface.temperature.ravel()[:16:2])
     # How much warmer a leaf in the sun is; one that the table has colder is as warm as the mean.
-    np.testing.assert_array_equal(surface.scatter_k.ravel()[:8], [3, 3, 4, 4, 1.5, 1.5, 0, 0])
+    np.testing.assert_array_equal(surface.scatter_k.ravel()[:16:2], [3, 4, 5, 5.5, 1.5, 0, 2, 2])
     warm, _ = crowns_of(scene.with_objects({"trees": 300.0}))
     assert (warm.temperature == 300.0).all() and warm.scatter_k is None
 
@@ -134,9 +139,9 @@ TABLE = r"temperature='.*kelvin.csv' is not allowed; give a table with leaf_area
         ({"trees": PLACE + ",up_m\n0,0,1e6\n"}, r"row 2: up_m=1e\+06 is not .*; give -100000 to 100000 m in the"),
         ({"trees": "east_m,width_m\n0,1\n"}, r"trees.csv lacks east_m, north_m or rows of numbers"),
         ({"trees": PLACE + ",radius_m\n0,0,1\n"}, r"has the column 'radius_m'; give .*leaf_area_1_m"),
-        ({"kelvin": "lower_k,upper_k\n290,290\n"}, r"kelvin.csv lacks lower_k, upper_k, lower_sunlit_k"),
-        ({"kelvin": KELVIN + "1,1,1,1\n"}, r"kelvin.csv has 3 rows of temperatures for 2 crowns; give one for each"),
-        ({"kelvin": KELVIN.replace("288", "15")}, r"kelvin.csv: lower_k=15 is below 100 K .*; values are kelvin"),
+        ({"kelvin": "lower_k,upper_k\n290,290\n"}, r"kelvin.csv has the column 'lower_k'; give .* core_lower_k"),
+        ({"kelvin": KELVIN + "1,1,1,1,1,1,1,1\n"}, r"kelvin.csv has 3 rows of temperatures for 2 crowns; give one for each"),
+        ({"kelvin": KELVIN.replace("288,290,287", "15,290,287")}, r"kelvin.csv: core_lower_k=15 is below 100 K .*; values are kelvin"),
         ({"kelvin": KELVIN, "leaf_area_1_m": None, "trees": PLACE + "\n0,0\n"}, TABLE),
         ({"kelvin": KELVIN, "instances": None}, TABLE),
         ({"leaf_area_1_m": None}, r"has the column 'width_m'; give a header with east_m"),

@@ -165,14 +165,15 @@ def test_tables_of_plants_are_read_as_they_were_planted(tmp_path):
 
 
 def test_temperatures_of_leaves_come_back_from_their_table(tmp_path):
-    kelvin = 290.0 + np.arange(28.0).reshape(7, 4) * [0.5, 0.25, 0.5, 0.25] + [0.0, 1.0, 2.0, 5.0]
+    mean = 290.0 + 0.25 * np.arange(28.0).reshape(7, 4)
+    kelvin = np.concatenate([mean, mean + [2.0, 3.0, 2.5, 4.0]], axis=1)
     folder, _ = written(tmp_path / "s", kelvin, temperature=291.5)
     surface = next(s for s in tr.load_scene(folder).surfaces if s.name.startswith("conifer_crowns"))
-    mean, more = (each.reshape(-1)[:28].reshape(7, 2, 2) for each in (surface.temperature, surface.scatter_k))
-    # Of the lower and the upper half; both sides of a leaf are equally warm.
+    mean, more = (each.reshape(-1)[:56].reshape(7, 4, 2) for each in (surface.temperature, surface.scatter_k))
+    # Of the quarters; both sides of a leaf are equally warm.
     for side in range(2):
-        np.testing.assert_allclose(mean[:, :, side], kelvin[:, :2], atol=0.006)
-        np.testing.assert_allclose(more[:, :, side], kelvin[:, 2:] - kelvin[:, :2], atol=0.011)
+        np.testing.assert_allclose(mean[:, :, side], kelvin[:, :4], atol=0.006)
+        np.testing.assert_allclose(more[:, :, side], kelvin[:, 4:] - kelvin[:, :4], atol=0.011)
 
 
 def test_tables_of_leaves_and_columns_of_plants_are_those_that_a_scene_reads(tmp_path):

@@ -50,7 +50,7 @@ class Along:
     channels: list[Jit]  # mean radiance of the leaves seen; 0 without
 
 
-class Place(NamedTuple):
+class InCrown(NamedTuple):
     """Weights of the quarters of a crown at points, linear in height and in the volume nearer to the middle."""
 
     shell: Jit
@@ -58,8 +58,8 @@ class Place(NamedTuple):
     shell_upper: Jit
 
     @classmethod
-    def of(cls, body: UnitBody, at: Jit) -> "Place":
-        """Return the Place of points in the frames of crowns; beyond the means of quarters it is extrapolated."""
+    def of(cls, body: UnitBody, at: Jit) -> "InCrown":
+        """Return the InCrown of points in the frames of crowns; beyond the means of quarters it is extrapolated."""
         ball, cube = _MEAN_HEIGHTS
         upper = (0.5 + 0.5 * at.z / dr.select(body.box, b, a) for a, b in zip(ball, cube, strict=True))
         return cls(2.0 * body.inner(at) - 0.5, *upper)
@@ -168,7 +168,7 @@ class SunlitLeaves:
         """Return what `added` needs of the crowns of chords."""
         return self._quarters.at(chord.crown, chord.new)
 
-    def added(self, chord: Chord, quarters: list[Jit], at: Jit, place: "Place", phase: Jit) -> list[Jit]:
+    def added(self, chord: Chord, quarters: list[Jit], at: Jit, place: "InCrown", phase: Jit) -> list[Jit]:
         """Return what the sunlit leaves at points of chords add to the mean of leaves at their place, [Float]."""
         parts = [quarters[k : k + QUARTERS] for k in range(0, len(quarters), QUARTERS)]
         mean, *more = (place.between(*part) for part in parts)
@@ -210,7 +210,7 @@ def along(geometry: Geometry, outgoing: "OutgoingRadiance", ray: Jit, until: Jit
             depth = -dr.log(dr.maximum(1.0 - place * lost, 1e-7))
             length = dr.select(chord.new, chord.start + depth / chord.frame.extinction, 0.0)
             at = chord.at + length * chord.way
-            where = Place.of(chord.frame, at)
+            where = InCrown.of(chord.frame, at)
             values = [where.between(*each) for each in quarters]
             if leaves:
                 more = leaves.added(chord, warmer, at, where, phase)
