@@ -289,8 +289,8 @@ def test_a_mirror_in_a_mirror(tmp_path, monkeypatch, depth):
 
 def test_scenes_without_mirrors_cast_no_mirror_rays(tmp_path, monkeypatch):
     casts = []
-    cast = Geometry.cast
-    monkeypatch.setattr(Geometry, "cast", lambda self, *a, **k: casts.append(k) or cast(self, *a, **k))
+    cast = Geometry.cast_solid
+    monkeypatch.setattr(Geometry, "cast_solid", lambda self, *a, **k: casts.append(k) or cast(self, *a, **k))
     counts, plans, radiance = [], [], []
     classes = np.full((32, 32), 1)
     for name, one, texels in (("diffuse", "water", 1), ("mirror", "water_fresnel", 1), ("unused", "water", 1)):
