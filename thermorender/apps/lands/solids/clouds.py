@@ -262,6 +262,7 @@ def _upright(left: float, top: float, side: float) -> Any:
 
 def _crs_of(path: Path, header: Any) -> tuple[Any, float]:
     """(CRS of the map, metres in the unit of heights) by a file's WKT or GeoTIFF keys."""
+    import rasterio
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
 
@@ -271,7 +272,8 @@ def _crs_of(path: Path, header: Any) -> tuple[Any, float]:
         for record in (*header.vlrs, *(header.evlrs or ())):
             keys = {key.id: key.value_offset for key in getattr(record, "geo_keys", ())}
             if hasattr(record, "string") and record.record_id == 2112:
-                crs = CRS.from_wkt(record.string.rstrip("\0"))
+                with rasterio.Env():  # Within it, GDAL prints no error of its own
+                    crs = CRS.from_wkt(record.string.rstrip("\0"))
                 break
             if keys:
                 unit = _UNITS.get(keys.get(_VERTICAL_UNIT, 0), "")
@@ -279,7 +281,8 @@ def _crs_of(path: Path, header: Any) -> tuple[Any, float]:
                 level = _OLD_VERTICAL.get((level, unit), level)
                 if code and code != _OWN:
                     compound = f"+{level}" if level and level != _OWN else ""
-                    crs = CRS.from_user_input(f"EPSG:{code}{compound}")
+                    with rasterio.Env():
+                        crs = CRS.from_user_input(f"EPSG:{code}{compound}")
                     _check_map_unit(path, crs, _UNITS.get(keys.get(_MAP_UNIT, 0)))
     except CRSError as error:
         raise ThermorenderError(f"{path} has a CRS that cannot be read ({error}); {_STATE}") from None
