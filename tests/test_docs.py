@@ -189,6 +189,19 @@ def test_links_of_the_readme_exist():
             assert (page.parent / link).exists(), f"{page.name} links to {link}"
 
 
+def labels_of(text):
+    """The labels that a page declares, as MyST normalises them: `(label)=`, `{#label}` and `:name: label`."""
+    found = re.findall(r"^\(([^()\n]+)\)=$|^\{[^}\n]*#([\w-]+)[^}\n]*\}$|^\s*:name: +(\S+)$", text, flags=re.M)
+    return [" ".join("".join(each).lower().split()) for each in found]
+
+
+def test_labels_are_unique_over_all_pages():
+    """Sphinx knows labels by their name alone, whatever page declares them."""
+    found = [(label, name_of(page)) for page in EVERY_PAGE for label in labels_of(page.read_text(encoding="utf-8"))]
+    labels = [label for label, _ in found]
+    assert labels and not [each for each in found if labels.count(each[0]) > 1]
+
+
 EVERY_PAGE = [README, *(page for page in sorted(DOCS.rglob("*.md")) if "_build" not in page.parts)]
 
 

@@ -183,7 +183,8 @@ class _Number:
         # The bound also refuses NaN, infinity and whole numbers beyond float64.
         if isinstance(value, bool) or not isinstance(value, Real):
             return False
-        number: Any = value
+        # NumPy's single precision has no 1e300 to compare with.
+        number: Any = value if isinstance(value, (int, float)) else float(value)
         within = number > self.low if self.above else number >= self.low
         return bool(
             abs(number) < 1e300 and within and number <= self.high and (not self.whole or number == int(number))

@@ -2,13 +2,15 @@
 
 import datetime
 import re
-from typing import TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError, shortened
 
+# What an argument that is one number may be: Python's or NumPy's, of any precision.
+Number: TypeAlias = float | np.floating[Any] | np.integer[Any]
 ZERO_CELSIUS_K = 273.15
 
 # Every surface, sky and air of a scene is warmer than this in the thermal band, and nearly every °C value is below it.
@@ -68,13 +70,14 @@ def kelvin_scale(unit: str | None) -> tuple[float, float] | None:
 def instant(name: str, value: str | datetime.datetime | np.datetime64) -> np.datetime64:
     """Return an instant as datetime64[s], UTC, by its `name` in messages.
 
-    `value` is ISO 8601 with a zone, such as 2018-07-28T14:30Z or 2018-07-28T16:30:00+02:00, to whole seconds; or a
-    datetime with a zone. NumPy's datetime64 cannot have a zone: it is UTC in all of this package.
+    `value` is ISO 8601 with a zone, such as 2018-07-28T14:30Z or 2018-07-28T16:30:00+02:00; or a datetime with a
+    zone. Fractions of a second are dropped. NumPy's datetime64 cannot have a zone: it is UTC in all of this package.
     """
     if isinstance(value, np.datetime64) and not np.isnat(value):
         return value.astype("datetime64[s]")
     text = value.isoformat() if isinstance(value, datetime.datetime) else str(value).strip()
-    found = re.fullmatch(r"(\d{4}-\d\d-\d\d)[Tt ](\d\d:\d\d(?::\d\d)?)(?:[Zz]|([+-])(\d\d):?(\d\d))?", text)
+    whole = re.sub(r"(?<=\d:\d\d:\d\d)[.,]\d+", "", text)
+    found = re.fullmatch(r"(\d{4}-\d\d-\d\d)[Tt ](\d\d:\d\d(?::\d\d)?)(?:[Zz]|([+-])(\d\d):?(\d\d))?", whole)
     try:
         day, hour, sign, hours, minutes = found.groups() if found else []
         clock = np.datetime64(f"{day}T{hour}", "s")

@@ -49,6 +49,20 @@ def solved(balanced):
     return tr.Renderer(balanced, rays=2, samples=1).scene
 
 
+def test_numbers_and_points_of_numpy_are_those_of_python(weathered):
+    number, point = np.float32, np.array([1.0, 2.0, 3.0])
+    given = (number(1.0), np.int64(2), number(30.0))
+    for pose in (tr.pose, weathered.pose):
+        np.testing.assert_array_equal(pose(*given, look_at=point), pose(1.0, 2.0, 30.0, look_at=(1.0, 2.0, 3.0)))
+    edits = [
+        lambda n: weathered.with_sky(n(250.0), n(260.0)), lambda n: weathered.with_temperature(n(300.0)),
+        lambda n: weathered.with_air("tropical").with_sun(n(30.0), n(150.0)),
+        lambda n: weathered.with_material({1: n(0.5)}), lambda n: weathered.with_objects({"marker": n(310.0)}),
+    ]  # fmt: skip
+    for edit in edits:
+        assert edit(number).digest() == edit(float).digest()
+
+
 # --- order --------------------------------------------------------------------------------------------------------
 
 EDITS = {

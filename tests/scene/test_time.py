@@ -164,6 +164,8 @@ def test_an_instant_outside_its_file_is_refused(tmp_path, monkeypatch):
     [
         "2018-07-28T14:30Z", "2018-07-28T14:30:00Z", "2018-07-28 16:30+02:00", "2018-07-28T04:30:00-1000",
         NOON, datetime(2018, 7, 28, 20, 15, tzinfo=timezone(timedelta(hours=5, minutes=45))),
+        "2018-07-28T14:30:00.999Z", "2018-07-28T16:30:00,5+02:00", np.datetime64("2018-07-28T14:30:00.999"),
+        datetime(2018, 7, 28, 14, 30, 0, 123456, timezone.utc),
     ],
 )  # fmt: skip
 def test_an_instant_is_utc(value):
@@ -178,7 +180,8 @@ def test_an_instant_is_utc(value):
         (datetime(2018, 7, 28), "has no zone"),
         ("2018-07-28", "is not an instant; give date, T, hour, minute and zone"),
         ("2018-02-30T12:00Z", "is not an instant"),
-        ("2018-07-28T14:30:00.5Z", "is not an instant"),
+        ("2018-07-28T14:30.5Z", "is not an instant"),
+        ("2018-07-28T14:30:00.5", "has no zone; add Z for UTC"),
         ("2018-07-28T14:30+15:00", "has an impossible offset from UTC"),
         ("noon", "time=noon is not an instant"),
         (np.datetime64("NaT"), "is not an instant"),

@@ -26,9 +26,10 @@ from thermorender.render.plan import Plan
 from thermorender.render.reflection.device_tables import DeviceTables, DirectionalTexels, black_of
 from thermorender.scene.scene import Scene
 from thermorender.scene.tracks import TrackedObject
+from thermorender.units import Number
 
 # {name of a dynamic object: {column of its track: value}}.
-Objects = Mapping[str, Mapping[str, float]]
+Objects = Mapping[str, Mapping[str, Number]]
 # As from `DynamicObject.light`.
 _Exchange = tuple[Floats, tuple[NDArray[np.int64], NDArray[np.float32]], tuple[Floats, NDArray[Any]]]
 

@@ -1,33 +1,83 @@
 """Between map coordinates and a scene's local frame: poses of photogrammetric software, and positions on a map."""
 
+import json
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.raster import Grid
 
 # Length over which the scale of a map is measured [m].
 _STEP_M = 100.0
+# A metre of a map that is less on Earth is outside of its projection's domain [m].
+_LEAST_M = 1e-3
+_UP = {"name": "Ellipsoidal height", "abbreviation": "h", "direction": "up", "unit": "metre"}
+
+
+def geodetic_from_map(crs: Any, points: ArrayLike) -> NDArray[np.float64]:
+    """Return WGS 84 latitude, longitude [deg] and height above its ellipsoid [m], (N, 3).
+
+    `points` (N, 3) are easting, northing of the projected `crs` [m] or longitude, latitude of the geographic one [deg],
+    and the height above the ellipsoid of its own datum [m].
+    """
+    from rasterio.crs import CRS
+    from rasterio.warp import transform
+
+    points = np.asarray(points, np.float64)
+    try:
+        longitude, latitude, height = transform(_with_heights(crs), CRS.from_epsg(4979), *points.T.tolist())
+        found = np.column_stack([latitude, longitude, height])
+        if not (np.isfinite(found).all() and (np.abs(found[:, 0]) <= 90.0).all()):
+            raise ValueError
+    except Exception:  # GDAL's errors share no public base class
+        raise _outside(crs, points[0]) from None
+    return found
+
+
+@lru_cache(maxsize=8)
+def _with_heights(crs: Any) -> Any:
+    """The CRS with an axis of heights above its ellipsoid. Without it, PROJ leaves heights out of a change of datum."""
+    from rasterio.crs import CRS
+
+    found = crs.to_dict(projjson=True)
+    parts = [found]
+    for part in parts:
+        parts += [part[name] for name in ("base_crs", "source_crs", "target_crs") if name in part]
+        axes = part.get("coordinate_system", {}).get("axis", [])
+        if len(axes) == 2:
+            axes.append(_UP)
+            # The code is that of the CRS without heights.
+            part.pop("id", None)
+    return CRS.from_user_input(json.dumps(found))
+
+
+def _outside(crs: Any, point: NDArray[np.float64]) -> ThermorenderError:
+    code = crs.to_epsg()
+    return ThermorenderError(
+        f"{point[0]:.12g}, {point[1]:.12g} is not a place in {f'EPSG:{code}' if code else 'this coordinate system'}; "
+        "give coordinates and the system that they are in"
+    )
 
 
 def pose_from_map(frame: LocalFrame, crs: Any, pose: ArrayLike) -> NDArray[np.float64]:
     """Return a pose in map coordinates as world_from_camera in a local frame, (4, 4).
 
-    `pose` (4, 4) is map_from_camera: easting, northing and ellipsoid height [m], axes east, north, up of the projected
-    `crs`. The rotation is corrected for grid convergence and for the Earth's curvature between `frame` and camera.
+    `pose` (4, 4) is map_from_camera: easting, northing and height above the ellipsoid of the map's datum [m], axes
+    east, north, up of the projected `crs`. The rotation is corrected for grid convergence and for the Earth's curvature
+    between `frame` and camera.
     """
-    from rasterio.crs import CRS
-    from rasterio.warp import transform
-
     pose = np.asarray(pose, dtype=np.float64)
     # The map's axes at the camera, by steps of one metre.
-    points = pose[:3, 3] + np.vstack([np.zeros(3), np.eye(3)])
-    longitude, latitude = transform(crs, CRS.from_epsg(4326), points[:, 0], points[:, 1])
-    local = frame.enu_from_geodetic(np.array(latitude), np.array(longitude), points[:, 2])
-    u, _, v = np.linalg.svd((local[1:] - local[0]).T)
+    latitude, longitude, height = geodetic_from_map(crs, pose[:3, 3] + np.vstack([np.zeros(3), np.eye(3)])).T
+    local = frame.enu_from_geodetic(latitude, longitude, height)
+    u, scales, v = np.linalg.svd((local[1:] - local[0]).T)
+    if not (scales[-1] > _LEAST_M and np.linalg.det(u @ v) > 0.0):
+        raise _outside(crs, pose[:3, 3])
     result = np.eye(4)
     result[:3, :3] = u @ v @ pose[:3, :3]
     result[:3, 3] = local[0]

@@ -1,10 +1,12 @@
 """A scene folder read into a Scene, and flight logs read over it."""
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from os import PathLike
 from pathlib import Path
 from typing import Literal
+
+from numpy.typing import ArrayLike
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.paths import data_folder
@@ -70,7 +72,7 @@ def load_scene(name: str | PathLike[str]) -> Scene:
 def load_trajectory(
     paths: str | PathLike[str] | Iterable[str | PathLike[str]], scene: Scene, *,
     format: str | PathLike[str] | None = None, anchor: Anchor | None = None, clock_offset_s: float = 0.0,
-    mount: Sequence[float] | None = None, lever_arm_m: Sequence[float] = (0.0, 0.0, 0.0), course: bool = False,
+    mount: ArrayLike | None = None, lever_arm_m: ArrayLike = (0.0, 0.0, 0.0), course: bool = False,
     duplicates: Literal["refuse", "spread", "first"] = "refuse",
 ) -> Trajectory:  # fmt: skip
     """Return the camera's Trajectory over a scene from one or several CSV files of a flight.

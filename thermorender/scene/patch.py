@@ -36,6 +36,7 @@ def name_of(given: str | PathLike[str] | Mapping[str, Any]) -> str:
 
 def read_features(given: str | PathLike[str] | Mapping[str, Any]) -> tuple[list[Any], Any]:
     """Return (features, rasterio CRS) of a GeoJSON FeatureCollection, a path or its contents; WGS 84 without "crs"."""
+    import rasterio
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
 
@@ -46,7 +47,9 @@ def read_features(given: str | PathLike[str] | Mapping[str, Any]) -> tuple[list[
         features = content["features"]
         if not isinstance(features, list):
             raise ValueError(f"features is {shortened(repr(features))}, not a list")
-        crs = CRS.from_user_input(content["crs"]["properties"]["name"] if content.get("crs") else "OGC:CRS84")
+        # Within an Env, GDAL prints no error of its own.
+        with rasterio.Env():
+            crs = CRS.from_user_input(content["crs"]["properties"]["name"] if content.get("crs") else "OGC:CRS84")
         return features, crs
     except OSError as error:
         raise ThermorenderError(f"{given} cannot be read: {error.strerror}; give a GeoJSON file") from None

@@ -48,7 +48,7 @@ from thermorender.scene.terrain_temperature import Temperatures
 from thermorender.schema import Where, did_you_mean, read
 from thermorender.sensor.camera import Camera, load_camera
 from thermorender.trajectory.path import pose
-from thermorender.units import instant, utc_text, with_unit
+from thermorender.units import Number, instant, utc_text, with_unit
 
 if TYPE_CHECKING:
     pass
@@ -247,8 +247,8 @@ class Scene:
         return notes.of_weather(self)
 
     def pose(
-        self, east: float, north: float, above_ground_m: float, yaw_deg: float = 0.0, pitch_deg: float = 0.0,
-        roll_deg: float = 0.0, look_at: Sequence[float] | None = None,
+        self, east: Number, north: Number, above_ground_m: Number, yaw_deg: Number = 0.0, pitch_deg: Number = 0.0,
+        roll_deg: Number = 0.0, look_at: ArrayLike | None = None,
     ) -> NDArray[np.float64]:  # fmt: skip
         """Return world_from_camera, (4, 4), of a camera above this scene's ground, as `--pose` on the command line.
 
@@ -266,18 +266,19 @@ class Scene:
         ThermorenderError
             A position or point off the terrain, a camera under it, or angles that contradict `look_at`.
         """
-        here, point = (east, north, above_ground_m), look_at
+        here = east, north, above_ground_m
         if above_ground_m < 0.0:
             raise ThermorenderError(
                 f"pose={here!r} is {-above_ground_m:.6g} m under the terrain; give metres above the ground, or local "
                 "up to tr.pose"
             )
         up = self._local_up("pose", here)
-        if point is not None and np.shape(point) == (3,):
-            point = (point[0], point[1], self._local_up("look_at", point))
-        return pose(east, north, up, yaw_deg, pitch_deg, roll_deg, point)
+        if look_at is not None and np.shape(look_at) == (3,):
+            point = np.asarray(look_at).tolist()
+            look_at = point[0], point[1], self._local_up("look_at", point)
+        return pose(east, north, up, yaw_deg, pitch_deg, roll_deg, look_at)
 
-    def _local_up(self, name: str, point: Sequence[float]) -> float:
+    def _local_up(self, name: str, point: Sequence[Number]) -> float:
         ground = float(self.ground(float(point[0]), float(point[1])))
         if ground != ground:
             raise ThermorenderError(
@@ -367,7 +368,7 @@ class Scene:
         spec = replace(now.spec, atmosphere=air, sky_temperature=None)
         return self._edited(replace(now, spec=spec, given_air=None))
 
-    def with_sky(self, kelvin: float | str, surroundings: float | str | None = None) -> "Scene":
+    def with_sky(self, kelvin: Number | str, surroundings: Number | str | None = None) -> "Scene":
         """Return this scene under an isotropic black sky and without air.
 
         Parameters
@@ -388,7 +389,7 @@ class Scene:
         spec = replace(now.spec, atmosphere=None, sky_temperature=kelvin, surroundings_temperature=around)
         return self._edited(replace(now, spec=spec, given_air=None, last_sky=kelvin))
 
-    def with_sun(self, elevation_deg: float | None, azimuth_deg: float | None = None) -> "Scene":
+    def with_sun(self, elevation_deg: Number | None, azimuth_deg: Number | None = None) -> "Scene":
         """Return this scene with the sun elsewhere.
 
         Parameters
@@ -427,7 +428,7 @@ class Scene:
         ----------
         time : str, datetime or datetime64
             Text or datetime with its zone; without one it is refused. A datetime64 has no zone and is UTC, as all
-            instants of this package are.
+            instants of this package are. Fractions of a second are dropped.
 
         Raises
         ------
@@ -485,7 +486,7 @@ class Scene:
 
     def with_temperature(
         self,
-        source: "TemperatureSpec | float | str | PathLike[str] | TemperatureMap | Mapping[str, Any]",
+        source: "TemperatureSpec | Number | str | PathLike[str] | TemperatureMap | Mapping[str, Any]",
         model: TemperatureMap | None = None, kelvin: Sequence[ArrayLike] | None = None,
     ) -> "Scene":  # fmt: skip
         """Return this scene with its terrain's temperatures from another source.
@@ -523,7 +524,7 @@ class Scene:
             temperature_map=learned_map(spec) if model is None else model, given_kelvin=given,
         ))  # fmt: skip
 
-    def with_objects(self, objects: "Mapping[str, float | str | Mapping[str, float | str]]") -> "Scene":
+    def with_objects(self, objects: "Mapping[str, Number | str | Mapping[str, Number | str]]") -> "Scene":
         """Return this scene with objects at other temperatures or places.
 
         Parameters
@@ -669,8 +670,8 @@ class Scene:
         return self._edited(replace(self._declared, spec=replace(self._declared.spec, emissivity=spec)))
 
     def with_material(
-        self, replaced: Mapping[int | str, str | float | Material] | None = None, /,
-        **more: str | float | Material,
+        self, replaced: Mapping[int | str, str | Number | Material] | None = None, /,
+        **more: str | Number | Material,
     ) -> "Scene":  # fmt: skip
         """Return this scene with materials of its terrain or objects replaced by others.
 
@@ -684,7 +685,7 @@ class Scene:
         """
         now, files = self._declared, self._declared.files
         refuse_other("with_material", replaced or {}, "{what it replaces: material}, or name=material")
-        given: dict[int | str, str | float | Material] = dict(replaced or {})
+        given: dict[int | str, str | Number | Material] = dict(replaced or {})
         given.update(more)
         if files is None:
             raise ThermorenderError(
@@ -704,7 +705,7 @@ class Scene:
 
     def with_material_in(
         self, area: str | PathLike[str] | Mapping[str, Any] | ArrayLike,
-        material: str | float | Material | None = None,
+        material: str | Number | Material | None = None,
     ) -> "Scene":  # fmt: skip
         """Return this scene with another material within an area of its terrain, such as one roof.
 

@@ -15,6 +15,7 @@ from thermorender.physics.geodesy import FARTHEST_M
 from thermorender.scene import footing
 from thermorender.scene.spec import ObjectSpec
 from thermorender.scene.surface import Surface, scene_kelvin
+from thermorender.units import Number
 
 COLUMNS = ("east_m", "north_m", "above_ground_m", "yaw_deg", "temperature_k")
 
@@ -46,7 +47,7 @@ class TrackedObject:
         """The object's name."""
         return self.item.name
 
-    def at(self, time_s: float, **given: float) -> dict[str, float]:
+    def at(self, time_s: float, **given: Number) -> dict[str, float]:
         """Return {column: value} at a time [s], linear between rows, constant beyond the ends, or as `given`."""
         for name, value in given.items():
             if name not in COLUMNS:

@@ -22,6 +22,7 @@ from thermorender.trajectory.rotations import (
     slerp,
     wxyz,
 )
+from thermorender.units import Number
 
 # (east, north), each (N,) [m], to the ground's local up (N,) [m]; NaN off the terrain.
 GroundHeight = Callable[[NDArray[np.float64], NDArray[np.float64]], ArrayLike]
@@ -217,7 +218,7 @@ class Trajectory:
             direction = axes[:2, 2] if np.hypot(*axes[:2, 2]) > 1e-6 else -axes[:2, 1]
         return float(np.degrees(np.arctan2(direction[0], direction[1])) % 360.0)
 
-    def anchored(self, east: float, north: float, heading_deg: float, up: float | None = None) -> "Trajectory":
+    def anchored(self, east: Number, north: Number, heading_deg: Number, up: Number | None = None) -> "Trajectory":
         """Return the trajectory moved to another position and rotated about up, its shape unchanged.
 
         Parameters
@@ -230,7 +231,7 @@ class Trajectory:
             New local up of the first camera position [m]; by default heights do not change.
         """
         # Headings increase clockwise, rotations about up anticlockwise.
-        turn = Rotation.from_euler("z", self.first_heading_deg - heading_deg, degrees=True)
+        turn = Rotation.from_euler("z", self.first_heading_deg - float(heading_deg), degrees=True)
         origin = self.position[0]
         target = np.array([east, north, origin[2] if up is None else up], np.float64)
         return Trajectory(self.time_s, turn.apply(self.position - origin) + target, wxyz(turn * self.rotation))
@@ -282,8 +283,8 @@ def parse_lever_arm(text: str) -> tuple[float, ...]:
 
 
 def pose(
-    east: float, north: float, up: float, yaw_deg: float = 0.0, pitch_deg: float = 0.0, roll_deg: float = 0.0,
-    look_at: Sequence[float] | None = None,
+    east: Number, north: Number, up: Number, yaw_deg: Number = 0.0, pitch_deg: Number = 0.0, roll_deg: Number = 0.0,
+    look_at: ArrayLike | None = None,
 ) -> NDArray[np.float64]:  # fmt: skip
     """Return world_from_camera, (4, 4), of a camera at a local position; `scene.pose` takes metres above the ground.
 
@@ -303,6 +304,7 @@ def pose(
     ThermorenderError
         The position is more than 100 km from the scene's origin, or angles contradict `look_at`.
     """
+    east, north, up, yaw_deg, pitch_deg = map(float, (east, north, up, yaw_deg, pitch_deg))
     if not max(abs(east), abs(north), abs(up)) <= FARTHEST_M:
         raise ThermorenderError(
             f"pose: east {east:g} m, north {north:g} m, up {up:g} m is more than {FARTHEST_M / 1e3:.0f} km from the "
@@ -311,15 +313,13 @@ def pose(
     if look_at is not None:
         yaw_deg, pitch_deg = _towards((east, north, up), look_at, yaw_deg, pitch_deg)
     matrix = np.eye(4)
-    attitude = rotation_from_angles(yaw_deg, pitch_deg, roll_deg).as_matrix()
+    attitude = rotation_from_angles(yaw_deg, pitch_deg, float(roll_deg)).as_matrix()
     matrix[:3, :3] = ENU_FROM_NED @ attitude @ BODY_FROM_CAMERA
     matrix[:3, 3] = east, north, up
     return matrix
 
 
-def _towards(
-    position: Sequence[float], point: Sequence[float], yaw_deg: float, pitch_deg: float
-) -> tuple[float, float]:
+def _towards(position: Sequence[float], point: ArrayLike, yaw_deg: float, pitch_deg: float) -> tuple[float, float]:
     """Return (yaw, pitch) [deg] of the direction from a position to a point; refuse other angles."""
     target = np.asarray(point, np.float64)
     if target.shape != (3,) or not np.isfinite(target).all():

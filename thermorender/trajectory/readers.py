@@ -13,13 +13,13 @@ Conventions of thermorender's CSV columns (row 1 has the names, which end in uni
   or roll is 0. With any of these columns the vehicle's attitude only rotates the lever arm.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from os import PathLike
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
@@ -67,7 +67,7 @@ def read_trajectory(
     paths: str | PathLike[str] | Iterable[str | PathLike[str]], *, frame: LocalFrame | None = None,
     ground: GroundHeight | None = None, geoid_undulation_m: float | None = None,
     format: str | PathLike[str] | None = None, anchor: Anchor | None = None, clock_offset_s: float = 0.0,
-    mount: Sequence[float] | None = None, lever_arm_m: Sequence[float] = (0.0, 0.0, 0.0),
+    mount: ArrayLike | None = None, lever_arm_m: ArrayLike = (0.0, 0.0, 0.0),
     duplicates: Literal["refuse", "spread", "first"] = "refuse", course: bool = False,
 ) -> Trajectory:  # fmt: skip
     """Return the camera's `Trajectory` in the scene's frame from one or several log files of a flight.
@@ -229,10 +229,10 @@ def _from_zero(logs: list[Log]) -> list[Log]:
     ]
 
 
-def _triple(name: str, value: Sequence[float], meaning: str) -> NDArray[np.float64]:
+def _triple(name: str, value: ArrayLike, meaning: str) -> NDArray[np.float64]:
     array = np.asarray(value, np.float64)
     if array.shape != (3,) or not np.isfinite(array).all():
-        raise ThermorenderError(f"{name}={value} must be three finite numbers: {meaning}")
+        raise ThermorenderError(f"{name}={value!r} must be three finite numbers: {meaning}")
     return array
 
 
@@ -316,7 +316,7 @@ def _course(
     return None
 
 
-def _attitude_logs(logs: list[Log], mount: Sequence[float] | None) -> list[Log | None]:
+def _attitude_logs(logs: list[Log], mount: ArrayLike | None) -> list[Log | None]:
     """The log with the vehicle's attitude and the log with the gimbal's angles, or None."""
     chosen = []
     for group, what in ((QUATERNION + ANGLES, "vehicle's attitude"), (GIMBAL, "gimbal's angles")):
@@ -329,7 +329,7 @@ def _attitude_logs(logs: list[Log], mount: Sequence[float] | None) -> list[Log |
         _check_attitude(body)
     if gimbal is not None and mount is not None:
         raise ThermorenderError(
-            f"mount={tuple(mount)} contradicts {gimbal.path}, whose gimbal columns say where the camera looks; leave "
+            f"mount={mount!r} contradicts {gimbal.path}, whose gimbal columns say where the camera looks; leave "
             f"mount out or delete the columns {', '.join(n for n in GIMBAL if n in gimbal.values)}"
         )
     return chosen

@@ -245,6 +245,29 @@ def test_layers_longer_than_their_chunk_are_refused(tmp_path, layer):
         read_cloud(path)
 
 
+def test_a_chunk_of_more_points_than_memory_holds_is_refused(tmp_path):
+    """The decoder would reserve 129 GB, and end the interpreter."""
+    path = written(tmp_path / "a.laz")
+    data = path.read_bytes()
+    at = data.index(struct.pack("<H", 22204), 227) + 36 + 12
+    assert struct.unpack_from("<I", data, at) == (50_000,)
+    path.write_bytes(data[:at] + struct.pack("<I", 0xFFFFFF50) + data[at + 4 :])
+    with pytest.raises(ThermorenderError, match="counts more records than it has bytes for"):
+        read_cloud(path)
+
+
+def test_points_too_few_for_a_surface_are_refused(tmp_path):
+    path = written(tmp_path / "a.las")
+    data = bytearray(path.read_bytes())
+    # The largest x and y in the header.
+    for at in (179, 195):
+        (largest,) = struct.unpack_from("<d", data, at)
+        struct.pack_into("<d", data, at, largest + 20_000.0)
+    path.write_bytes(data)
+    with pytest.raises(ThermorenderError, match=r"has \d+ points on 20\d+×20\d+ posts of 1 m; they are too few"):
+        read_cloud(path)
+
+
 def test_a_table_of_chunks_longer_than_its_file_is_refused(tmp_path):
     """Its decoder would reserve memory for it, and end the interpreter."""
     path = written(tmp_path / "a.laz")

@@ -96,16 +96,15 @@ def test_a_public_client_gets_the_frames_of_the_link(scene, server, bridge, tmp_
     assert all(word in error for word, error in zip(words, found["errors"], strict=True))
 
 
-def test_frames_hold_no_earlier_pose(server, bridge):
+def test_frames_hold_no_earlier_pose(bridge):
     """Pixels that remembered the pose before would differ from those of a camera that was always there."""
     request = {"camera_name": "0", "image_type": 7, "pixels_as_float": False, "compress": False}
-    calls = airsim.Calls(bridge, connected(server))
-    with calls.client:
+    with contextlib.closing(airsim.Calls(bridge)) as calls:
         for east, pitch_deg in ((0.0, 90.0), (2.0, -90.0)):
-            bridge.set_pose("turned", pose_at(east, pitch_deg))
+            bridge.set_pose(calls, "turned", pose_at(east, pitch_deg))
             error, (found,) = calls.answer("simGetImages", [[request], "turned"])
             assert error is None
-        bridge.set_pose("fresh", pose_at(2.0, -90.0))
+        bridge.set_pose(calls, "fresh", pose_at(2.0, -90.0))
         _, (fresh,) = calls.answer("simGetImages", [[request], "fresh"])
     images = [np.frombuffer(each["image_data_uint8"], np.uint8).astype(int) for each in (found, fresh)]
     assert np.abs(images[0] - images[1]).mean() < 4.0
@@ -162,6 +161,7 @@ def test_other_bytes_end_the_connection(bridge, data):
         ("simGetImages", [[{"camera_name": NESTED}]]),
         ("simGetImages", [[], NESTED]),
         ("simSetVehiclePose", [{"position": {"x_val": "1" * 10_000}}]),
+        ("simSetVehiclePose", [pose_at(0.0, 0.0), True, "x" * 10_000]),
     ],
 )
 def test_wrong_arguments_are_answered_in_a_sentence(bridge, method, arguments):
@@ -176,7 +176,8 @@ def request_of_images(vehicle):
     return msgpack.packb([0, 1, "simGetImages", [[image], vehicle]])
 
 
-def test_calls_without_a_token_leave_half_of_the_sessions_to_those_who_hold_one(server, bridge):
+def test_calls_without_a_token_leave_half_of_the_sessions_to_those_who_hold_one(server, bridge, monkeypatch):
+    monkeypatch.setattr(airsim, "_IDLE_S", 600.0)
     with socket.create_connection(("127.0.0.1", bridge.port), 60.0) as own:
         unpacker, errors = msgpack.Unpacker(), []
         for number in range(40):
@@ -195,6 +196,58 @@ def test_calls_without_a_token_leave_half_of_the_sessions_to_those_who_hold_one(
             break
         time.sleep(0.1)
     assert error is None
+
+
+def infrared(calls, vehicle):
+    """The answer (error, response) to a request of one image by the calls of a connection."""
+    image = {"camera_name": "0", "image_type": airsim.INFRARED, "pixels_as_float": True, "compress": False}
+    error, found = calls.answer("simGetImages", [[image], vehicle])
+    return error, found and found[0]
+
+
+def test_idle_sessions_make_room_for_those_of_other_connections(bridge, monkeypatch):
+    with contextlib.closing(airsim.Calls(bridge)) as one, contextlib.closing(airsim.Calls(bridge)) as other:
+        monkeypatch.setattr(airsim, "_MOST_SESSIONS", 3)
+        monkeypatch.setattr(airsim, "_IDLE_S", 600.0)
+        assert all(infrared(one, f"drone {number}")[0] is None for number in range(3))
+        error, _ = infrared(other, "another")
+        assert error.endswith("try again when one of them has had no call for 600 s")
+        # The advice is followed.
+        monkeypatch.setattr(airsim, "_IDLE_S", 0.0)
+        assert infrared(other, "another")[0] is None
+        # That of drone 0, called first, was given up; its frames go on later in time, with the room of another.
+        error, found = infrared(one, "drone 0")
+        assert error is None and found["time_stamp"] == 100_000_000
+        assert infrared(one, "drone 2")[1]["time_stamp"] == 100_000_000
+        assert infrared(other, "another")[1]["time_stamp"] == 100_000_000
+
+
+def test_a_session_in_a_call_is_not_given_up(bridge, monkeypatch):
+    monkeypatch.setattr(airsim, "_MOST_SESSIONS", 1)
+    monkeypatch.setattr(airsim, "_IDLE_S", 0.0)
+    with contextlib.closing(airsim.Calls(bridge)) as one, contextlib.closing(airsim.Calls(bridge)) as other:
+        assert infrared(one, "drone")[0] is None
+        with one._session("drone", "0"):
+            assert infrared(other, "another")[0].startswith("1 cameras of vehicles are in use")
+        assert infrared(other, "another")[0] is None
+
+
+def test_poses_of_connections_that_ended_make_room_oldest_first(bridge):
+    here = [pose_at(2.0, -90.0), True]
+    with contextlib.closing(airsim.Calls(bridge)) as staying:
+        assert staying.answer("simSetVehiclePose", [*here, "staying"])[0] is None
+        for client in range(3):
+            with contextlib.closing(airsim.Calls(bridge)) as leaving:
+                for number in range(64):
+                    assert leaving.answer("simSetVehiclePose", [*here, f"{client} {number}"]) == (None, None)
+                error, _ = leaving.answer("simSetVehiclePose", [*here, "more"])
+                assert error.endswith("the poses of 64 vehicles; use the name of one of them")
+                assert leaving.answer("simSetVehiclePose", [*here, f"{client} 0"])[0] is None
+        for number in range(32):
+            assert staying.answer("simSetVehiclePose", [*here, f"new {number}"])[0] is None
+        moved = {name: bridge.pose(name)[0] == 2.0 for name in ("staying", "new 0", "0 1", "1 63", "2 1", "2 63")}
+        assert moved == {"staying": True, "new 0": True, "0 1": False, "1 63": False, "2 1": True, "2 63": True}
+        assert len(bridge._poses) == 33 + 64
 
 
 def test_idle_connections_make_room_for_new_ones(bridge, monkeypatch):

@@ -2,6 +2,8 @@
 
 import re
 from dataclasses import replace
+from shutil import copytree
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from thermorender.apps.lands.procedural.procedural_scene import make
 from thermorender.apps.lands.procedural.truth import write
 from thermorender.apps.survey.inverse import level, products
 from thermorender.apps.survey.inverse.frames import Survey
+from thermorender.apps.survey.inverse.kinetic import unknowns
 from thermorender.apps.survey.inverse.level import Reference, read_references
 from thermorender.apps.survey.inverse.linear import LinearKelvin
 from thermorender.apps.survey.inverse.normal import Prior, Sums, footprint
@@ -124,6 +127,43 @@ def found(tmp_path_factory):
     kelvin = brightness_temperature(radiance, *scene.camera.band_um).astype(np.float32)
     survey = Survey(("a", "b"), ("", ""), kelvin, poses)
     return reconstruct(scene, survey, settings=Settings(texel_m=1.0, rounds=2, pose_error=PoseError(0.0, 0.0)))
+
+
+WEATHER_CSV = "time,air_c,rh_percent,wind_m_s\n" + "".join(f"2021-07-01T{hour:02d}:00Z,30,50,3\n" for hour in range(24))
+WEATHER = '[weather]\nfile = "sky.csv"\ntime = "2021-07-01T12:00Z"\n'
+SKY, ATMOSPHERE = "[sky]\ntemperature = 255.0\n", '[atmosphere]\nstandard = "tropical"\n'
+
+
+def of_sky(found, tmp_path, tables):
+    """(Notes on the sky of the fixture's scene with other tables of light, its sky [K])."""
+    source = found.renderer.scene.spec.folder
+    text = (source / "scene.toml").read_text()
+    kept = [part for part in re.split(r"^(?=\[)", text, flags=re.M)
+            if not part.startswith(("[sky]", "[weather]", "[atmosphere]", "[sun]"))]  # fmt: skip
+    copytree(source, tmp_path / "scene")
+    (tmp_path / "scene" / "sky.csv").write_text(WEATHER_CSV)
+    (tmp_path / "scene" / "scene.toml").write_text("".join(kept) + "\n" + tables)
+    scene = tr.load_scene(tmp_path / "scene")
+    linear = LinearKelvin(scene.camera.band_um, 300.0)
+    notes = unknowns(SimpleNamespace(scene=scene), found.light.material, linear)
+    return [note for note in notes if "sky of" in note], scene.sky_temperature
+
+
+@pytest.mark.parametrize(
+    ("tables", "advice", "followed"),
+    [
+        (SKY, "give the scene [weather] and leave out [sky], or replace [sky] by [atmosphere]", (WEATHER, ATMOSPHERE)),
+        (SKY + WEATHER, "leave out [sky], so that the scene's [weather] gives it, or replace [sky] by [atmosphere]",
+         (WEATHER, WEATHER + ATMOSPHERE)),
+    ],
+)  # fmt: skip
+def test_a_sky_of_one_temperature_is_named_until_its_advice_is_followed(found, tmp_path, tables, advice, followed):
+    (note,), kelvin = of_sky(found, tmp_path / "before", tables)
+    assert kelvin == 255.0 and "the reflected sky of 255 K is [sky] of the scene" in note
+    assert note.endswith(f"; {advice}")
+    for number, each in enumerate(followed):
+        notes, kelvin = of_sky(found, tmp_path / str(number), each)
+        assert notes == [] and abs(kelvin - 255.0) > 1.0
 
 
 def test_references_that_contradict_each_other_widen_the_level(found):

@@ -16,7 +16,8 @@ from thermorender.apps.survey.inverse.level import read_references
 from thermorender.apps.survey.inverse.pose_files import read_poses
 from thermorender.apps.survey.inverse.poses import deviation
 from thermorender.errors import ThermorenderError
-from thermorender.physics.geodesy import LocalFrame
+from thermorender.physics.geodesy import LocalFrame, ecef_from_geodetic
+from thermorender.scene.patch import read_features
 from thermorender.sensor.camera import load_camera
 
 
@@ -96,6 +97,83 @@ def test_metashape_s_yaw_counts_from_geographic_north_and_kappa_from_that_of_the
     assert abs(convergence) > 2.0
     assert heading("30,0,0", "Yaw,Pitch,Roll") == pytest.approx(30.0, abs=1e-6)
     assert heading("0,0,-30", "Omega,Phi,Kappa") == pytest.approx(30.0 + convergence, abs=0.0005)
+
+
+def metashape(path, system, *rows):
+    """A text of Metashape with positions and yaw, pitch, roll in a system, which is WKT or an EPSG code."""
+    wkt = system if isinstance(system, str) else f'LOCAL_CS["as coded",AUTHORITY["EPSG","{system}"]]'
+    head = f"# CoordinateSystem: {wkt}\n#Label,X/Easting,Y/Northing,Z/Altitude,Yaw,Pitch,Roll\n"
+    return written(path, head + "".join(f"{row}\n" for row in rows))
+
+
+# Places of points 180 m above the ellipsoids of these systems by pyproj 3.7.2: Transformer.from_crs(CRS(code).to_3d(),
+# 4979), (latitude [deg], longitude [deg], height [m]).
+OTHER_DATUMS = {
+    (4179, 21.0, 52.2): (52.19973312551487, 20.99818368820923, 210.95538184046745),
+    (3333, 3520000.0, 5786000.0): (52.20197972645806, 15.290695726569636, 220.09415466617793),
+    (28404, 4500000.0, 5786000.0): (52.20240101508734, 20.99812663451726, 207.72659373935312),
+    (31469, 5600000.0, 5790000.0): (52.23450403781153, 16.461791601094188, 218.9648447530344),
+    (4979, 21.0, 52.2): (52.2, 21.0, 180.0),
+}
+
+
+@pytest.mark.parametrize(("given", "expected"), OTHER_DATUMS.items(), ids=[str(code) for code, *_ in OTHER_DATUMS])
+def test_heights_above_the_ellipsoid_of_another_datum_become_wgs84(scene, tmp_path, given, expected):
+    code, x, y = given
+    (place,) = read_poses(metashape(tmp_path / "m.txt", code, f"a,{x},{y},180,0,0,0"), scene).values()
+    assert place.horizontal == pytest.approx(expected[:2], abs=1e-8)
+    assert place.height_m == pytest.approx(expected[2], abs=1e-3)
+
+
+def test_heights_of_a_datum_that_the_file_defines_become_wgs84(scene, tmp_path):
+    """Against a position vector transformation of geocentric coordinates, EPSG method 9606."""
+    a, f, latitude, longitude = 6377397.155, 1.0 / 299.1528128, np.radians(52.2), np.radians(21.0)
+    wkt = (
+        f'GEOGCS["own",DATUM["own",SPHEROID["Bessel",{a},{1.0 / f!r}],'
+        'TOWGS84[598.1,73.7,418.2,0.202,0.045,-2.455,6.7]],PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]]'
+    )
+    (place,) = read_poses(metashape(tmp_path / "m.txt", wkt, "a,21.0,52.2,180,0,0,0"), scene).values()
+    square = f * (2.0 - f)
+    radius = a / np.sqrt(1.0 - square * np.sin(latitude) ** 2)
+    flat = (radius + 180.0) * np.cos(latitude)
+    geocentric = [flat * np.cos(longitude), flat * np.sin(longitude),
+                  (radius * (1.0 - square) + 180.0) * np.sin(latitude)]  # fmt: skip
+    x, y, z = np.radians(np.array([0.202, 0.045, -2.455]) / 3600.0)
+    turned = np.array([[1.0, -z, y], [z, 1.0, -x], [-y, x, 1.0]]) @ geocentric
+    expected = [598.1, 73.7, 418.2] + (1.0 + 6.7e-6) * turned
+    found = ecef_from_geodetic(*place.horizontal, place.height_m)
+    np.testing.assert_allclose(found, expected, atol=2e-3)
+    assert place.height_m - 180.0 > 20.0
+
+
+@pytest.mark.parametrize(
+    ("system", "row", "words"),
+    [
+        (25832, "a.jpg,32500000,5700000,100,0,0,0", r"camera 'a\.jpg': 32500000, 5700000 is not a place in EPSG"),
+        (3857, "a,1e6,-1e9,100,0,0,0", "camera 'a': 1000000, -1000000000 is not a place in EPSG:3857; give coord"),
+        (4326, "a,21,152.2,100,0,0,0", "camera 'a': 21, 152.2 is not a place in EPSG:4326"),
+        (32634, "a,1e300,1e300,100,0,0,0", "is not a place in EPSG:32634"),
+        (4326, "a,21,52.2,100,1e308,0,0", r"camera 1: Yaw=1e\+308 is not an angle; give degrees up to 100000"),
+        (4326, "a,,,,,,", r"m\.txt holds no pose of a camera; align the photographs before you export it"),
+    ],
+)  # fmt: skip
+def test_poses_of_metashape_that_are_nowhere_are_named(scene, tmp_path, system, row, words):
+    with pytest.raises(ThermorenderError, match=words):
+        read_poses(metashape(tmp_path / "m.txt", system, row), scene)
+
+
+def test_an_angle_of_a_csv_that_is_none_is_named(scene, tmp_path):
+    with pytest.raises(ThermorenderError, match=r"pitch_deg=-1e\+308 is not an angle"):
+        read_poses(written(tmp_path / "p.csv", HEAD + "a,0,0,60,0,-1e308,0\n"), scene)
+
+
+def test_an_unknown_code_is_one_sentence_without_lines_of_gdal(scene, tmp_path, capfd):
+    with pytest.raises(ThermorenderError, match="coordinate system cannot be read; export it in one with an EPSG code"):
+        read_poses(metashape(tmp_path / "m.txt", 99999, "a,0,0,0,0,0,0"), scene)
+    content = {"type": "FeatureCollection", "features": [], "crs": {"properties": {"name": "EPSG:99999"}}}
+    with pytest.raises(ThermorenderError):
+        read_features(content)
+    assert capfd.readouterr().err == ""
 
 
 def test_opensfm_s_shots_are_poses(scene, pose, tmp_path):

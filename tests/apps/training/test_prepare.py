@@ -1,5 +1,7 @@
 """Data sets made from folders of pictures: `thermorender prepare`, its readers, bounds, crops and shifts."""
 
+import json
+import shutil
 import struct
 import warnings
 import zlib
@@ -627,3 +629,52 @@ def test_a_spot_that_saturates_the_detector_stays_a_temperature(tmp_path):
             found = pictures.read_thermal(tmp_path / "a.tif", (0.01, 0.0))
         assert found.valid.all()
         np.testing.assert_allclose(found.values * 0.01, expected, atol=0.0051)
+
+
+# --- the error on validation --------------------------------------------------------------------------------------
+
+
+def trained(call, path):
+    """What `train` says of a data set's validation, beside its own error."""
+    status, output, errors = call("train", "correlation-1to1", path / "set", "-o", path / "map.npz")
+    assert status == 0 and "own error" in output and "on validation" in output
+    return errors
+
+
+def test_train_names_validation_crops_of_training_pictures_and_its_advice_works(tmp_path, call):
+    folders(tmp_path)
+    crops = ("--crops", "4", "--crop-size", "16", "--seed", "5")
+    prepared(call, tmp_path, *crops, "--split", "crop")
+    errors = trained(call, tmp_path)
+    assert "validation pictures have a sibling in training, such as seq" in errors
+    assert "their error measures memory, not new pictures" in errors and "`prepare --split sequence`" in errors
+    shutil.rmtree(tmp_path / "set")
+    prepared(call, tmp_path, *crops, "--split", "sequence")
+    assert "validation" not in trained(call, tmp_path)
+
+
+def test_train_names_validation_copies_of_training_pictures(tmp_path, call):
+    """Smoothed noise is known again when it is brighter; other noise is not."""
+    rng, parts = np.random.default_rng(8), {"train": [], "validation": []}
+    for folder in ("visible", "thermal"):
+        (tmp_path / folder).mkdir()
+    for number in range(8):
+        blurred = cv2.GaussianBlur(rng.normal(0.0, 1.0, (192, 256, 3)), (0, 0), 2.0)
+        visible = np.clip(110.0 + 500.0 * blurred, 0, 255).astype(np.uint8)
+        for name, shift in ((f"a{number}", 0), (f"b{number}", 12)):
+            if name in ("b1", "b2", "b3", "a4", "a5", "a6", "a7"):
+                continue
+            cv2.imwrite(str(tmp_path / "visible" / f"{name}.png"), cv2.add(visible, (shift,) * 4))
+            thermal = rng.normal(12000, 900, visible.shape[:2]).astype(np.uint16)
+            cv2.imwrite(str(tmp_path / "thermal" / f"{name}.png"), thermal)
+            parts["train" if name[0] == "a" else "validation"].append(name)
+    split = tmp_path / "split.json"
+    split.write_text(json.dumps(parts))
+    prepared(call, tmp_path, "--split", split)
+    errors = trained(call, tmp_path)
+    assert "1 of 5 validation pictures have a picture that shows the same in training, such as b0 – a0: " in errors
+    assert "leave the copies out" in errors
+    parts["validation"].remove("b0")
+    split.write_text(json.dumps(parts))
+    status, _, errors = call("train", "correlation-1to1", tmp_path / "set", "-o", tmp_path / "m.npz", "--split", split)
+    assert status == 0 and "validation" not in errors

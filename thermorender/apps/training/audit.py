@@ -7,7 +7,7 @@ used.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,11 @@ _ALIKE = {
 _PERIOD = {"solar_hour": 24.0, "day": 365.25}
 # Labels, and names of the known conditions, of a pair.
 Circumstances = tuple[tuple[tuple[str, str], ...], tuple[str, ...]]
+# How validation pictures lose what training shows of them.
+_MENDED = {
+    "sibling": "keep the crops of a picture in one part with `prepare --split sequence`",
+    "duplicate": "leave the copies out of the data set, or give a split that keeps them in one part",
+}
 # A share of the test pairs too small to affect a mean.
 _FEW = 0.05
 _MOST_NAMED = 5
@@ -162,6 +167,23 @@ def audit(dataset: Dataset, near_m: float = NEAR_M, progress: Progress | None = 
         "conditions": alike(test, train),
     }
     return Audit(len(test), len(train), leaks)
+
+
+def memory_of_validation(dataset: Dataset, progress: Progress | None = None) -> str | None:
+    """Return a sentence if validation pictures of a Dataset are crops or copies of training pictures, else None."""
+    held, train = dataset.of("validation").entries, dataset.of("train").entries
+    if not (held and train):
+        return None
+    # An audit looks at the test part.
+    found = audit(dataset.having([*train, *(replace(entry, part="test") for entry in held)]), progress=progress)
+    for kind, mend in _MENDED.items():
+        leak = found.leaks[kind]
+        if leak.tests:
+            return (
+                f"{leak.tests} of {leak.asked} validation pictures have {KINDS[kind].noun} in training, such as "
+                f"{leak.worst[0][0]} – {leak.worst[0][1]}: their error measures memory, not new pictures; {mend}"
+            )
+    return None
 
 
 def siblings(test: Sequence[Entry], train: Sequence[Entry]) -> Leak:

@@ -233,6 +233,7 @@ def _train_temperature(
     run: Path | None, resume: bool,
 ) -> None:  # fmt: skip
     """Train a map from colour to temperature, and print its error."""
+    from thermorender.apps.training.audit import memory_of_validation
     from thermorender.apps.training.dataset import read_dataset
     from thermorender.apps.training.map_training import train_map
     from thermorender.apps.training.splits import read_split
@@ -256,11 +257,13 @@ def _train_temperature(
         if os.environ.get("RANK", "0") != "0":
             return
         save_map(model, output)
+        memory = memory_of_validation(pairs, report) if model.error_k is not None else None
     typer.echo(str(model))
     training = model.about["training"]
     if training.get("stopped"):
         typer.echo(f"warning: {training['stopped']}; the map is the best state before", err=True)
     own = f", own error {model.error_k:.2f} K on validation" if model.error_k is not None else ""
+    warn(memory)
     kept = training.get("kept_mk")
     cost = f"; its weights as the file keeps them change it by {kept:.2g} mK" if kept is not None else ""
     typer.echo(f"{output}: trained in {model.about['training_s']:g} s{own}{cost}")

@@ -25,6 +25,10 @@ _OVERHEAD = {"wires": (13, 14, 15, 16), "bridges": (17,), "overhead structures":
 # Points in a post on average, and limits of a post's side [m]; posts this near to a point get its height.
 _IN_POST, _POST_M, _NEAR = 2.0, (0.1, 1.0), 2.0
 _AT_ONCE = 2_000_000
+# Most posts for each point, which are then ten posts apart, and posts that few points may have.
+_SPARSE, _SMALL = 100, 1 << 22
+# Most bytes of the points of a chunk of LAZ; usual ones have 50 000 points.
+_CHUNK_BYTES = 1 << 30
 # The record of LASzip.
 _LASZIP = 22204
 # GeoTIFF 1.1, requirement classes for keys: CRS of the map, geographic CRS, unit of the map, vertical CRS, and unit of
@@ -107,16 +111,16 @@ def _check_counts(path: Path) -> None:
                 counted.append((chunks, 1, size - points_at))
     if any(number * least > max(room, 0) for number, least, room in counted):
         raise _short(path)
-    # Chunks of LAZ in layers.
-    if head[104] & 0x80 and head[104] & 0x3F >= 6:
-        _check_layers(path, size)
+    if head[104] & 0x80:
+        _check_chunks(path, size)
 
 
-def _check_layers(path: Path, size: int) -> None:
-    """Refuse layers of compressed points longer than their chunk, for which the decoder would reserve memory.
+def _check_chunks(path: Path, size: int) -> None:
+    """Refuse chunks of compressed points, and layers of a chunk, for which the decoder would reserve too much memory.
 
-    A chunk begins with one whole point and the number of points, then has a length for each layer. LASzip's record
-    lists items (type, size, version): 10 is a point of 9 layers, 11 and 12 are colours, 14 is a layer for each byte.
+    LASzip's record has the number of points of a chunk. In formats from 6 on, a chunk begins with one whole point and
+    the number of points, then has a length for each layer. The record lists items (type, size, version): 10 is a point
+    of 9 layers, 11 and 12 are colours, 14 is a layer for each byte.
     """
     with open(path, "rb") as file, _named(path):
         import lazrs
@@ -132,6 +136,12 @@ def _check_layers(path: Path, size: int) -> None:
                 break
         else:
             return  # the library refuses it
+        (points,) = struct.unpack_from("<I", body.ljust(16, b"\0"), 12)
+        # All bits mean chunks of any number of points, which the table of chunks has.
+        if points != 0xFFFFFFFF and points * record > _CHUNK_BYTES:
+            raise _short(path)
+        if head[104] & 0x3F < 6:
+            return
         items = [struct.unpack_from("<HH", body, 34 + 6 * k) for k in range((len(body) - 34) // 6)]
         layers = sum({10: 9, 11: 1, 12: 2, 13: 1, 14: length}.get(kind, 0) for kind, length in items)
         file.seek(points_at)
@@ -175,6 +185,11 @@ def _rasters(path: Path, file: Any) -> Cloud:
     area = max((right - left) * (top - bottom), 1e-9)
     post = float(np.clip(np.sqrt(_IN_POST * area / max(header.point_count, 1)), _POST_M[0] / unit, _POST_M[1] / unit))
     columns, rows = (max(2, int(np.ceil((high - low) / post))) for low, high in ((left, right), (bottom, top)))
+    if rows * columns > max(_SPARSE * header.point_count, _SMALL):
+        raise ThermorenderError(
+            f"{path} has {header.point_count} points on {columns}×{rows} posts of {post * unit:.3g} m; they are too "
+            "few for a surface, so cut the file to where points are dense, with `pdal translate`, or give a whole one"
+        )
     if rows * columns > MOST_TEXELS:
         raise ThermorenderError(
             f"{path} covers {columns}×{rows} posts; up to {MOST_TEXELS} are allowed, so cut it, with `pdal tile`"
@@ -247,6 +262,7 @@ def _upright(left: float, top: float, side: float) -> Any:
 
 def _crs_of(path: Path, header: Any) -> tuple[Any, float]:
     """(CRS of the map, metres in the unit of heights) by a file's WKT or GeoTIFF keys."""
+    import rasterio
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
 
@@ -256,7 +272,8 @@ def _crs_of(path: Path, header: Any) -> tuple[Any, float]:
         for record in (*header.vlrs, *(header.evlrs or ())):
             keys = {key.id: key.value_offset for key in getattr(record, "geo_keys", ())}
             if hasattr(record, "string") and record.record_id == 2112:
-                crs = CRS.from_wkt(record.string.rstrip("\0"))
+                with rasterio.Env():  # Within it, GDAL prints no error of its own
+                    crs = CRS.from_wkt(record.string.rstrip("\0"))
                 break
             if keys:
                 unit = _UNITS.get(keys.get(_VERTICAL_UNIT, 0), "")
@@ -264,7 +281,8 @@ def _crs_of(path: Path, header: Any) -> tuple[Any, float]:
                 level = _OLD_VERTICAL.get((level, unit), level)
                 if code and code != _OWN:
                     compound = f"+{level}" if level and level != _OWN else ""
-                    crs = CRS.from_user_input(f"EPSG:{code}{compound}")
+                    with rasterio.Env():
+                        crs = CRS.from_user_input(f"EPSG:{code}{compound}")
                     _check_map_unit(path, crs, _UNITS.get(keys.get(_MAP_UNIT, 0)))
     except CRSError as error:
         raise ThermorenderError(f"{path} has a CRS that cannot be read ({error}); {_STATE}") from None

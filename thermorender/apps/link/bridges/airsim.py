@@ -11,11 +11,13 @@ pixels do not remember an earlier pose.
 """
 
 import contextlib
+import math
 import socket
 import socketserver
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -39,12 +41,31 @@ STEP_S = 0.1
 # Version of the interface: that of cosysairsim; clients of version 1, airsim's, are served, too.
 _SERVER, _LEAST_CLIENT = 4, 1
 _MOST_VEHICLES, _MOST_IMAGES, _MOST_BYTES, _MOST_CONNECTIONS = 64, 16, 1 << 20, 16
+# Letters of the name of a vehicle.
+_LONGEST_NAME = 255
 # Elements of an array or map of a call.
 _MOST_PARTS = 64
 # Sessions of the link that all calls may hold: half of the link's, so that those who hold its token find room.
 _MOST_SESSIONS = 32
-# A connection without a call for so long makes room for a new one [s].
+# A connection or session without a call for so long makes room for a new one [s].
 _IDLE_S = 5.0
+
+
+@dataclass(eq=False)
+class Held:
+    """A session of the link for one camera of one vehicle, on a connection of its own: any thread may end it."""
+
+    time_s: float  # Of its next frame
+    session: Session | None = None
+    called_s: float = math.inf  # When its last call ended; infinite during one
+    ended: bool = False
+
+    def close(self) -> None:
+        """End the session and its connection."""
+        if self.session is not None:
+            with contextlib.suppress(ThermorenderError, OSError):
+                self.session.close()
+            self.session.client.close()
 
 
 class Bridge(LocalListener):
@@ -53,9 +74,11 @@ class Bridge(LocalListener):
     def __init__(self, port: int, link_port: int, token: str, link_host: str = HOST) -> None:
         _ = _msgpack()
         self._link = link_host, link_port, token
-        self._poses: dict[str, NDArray[np.float64]] = {}
-        self._lock, self._sessions = threading.Lock(), 0
-        self._called_s: dict[socket.socket, float] = {}  # Time of the last call of each connection
+        # {vehicle: (its pose, calls of the connection that set it last)}, those last in use at the end.
+        self._poses: dict[str, tuple[NDArray[np.float64], Calls]] = {}
+        self._lock, self._held = threading.Lock(), list[Held]()
+        # When the last call of each connection ended; infinite during one.
+        self._called_s: dict[socket.socket, float] = {}
         bridge = self
 
         class Handler(socketserver.BaseRequestHandler):
@@ -73,10 +96,17 @@ class Bridge(LocalListener):
     def pose(self, vehicle: str) -> NDArray[np.float64]:
         """Return x, y, z [m] and quaternion w, x, y, z of a vehicle, (7,)."""
         with self._lock:
-            return self._poses.get(vehicle, np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])).copy()
+            if vehicle not in self._poses:
+                return np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+            self._poses[vehicle] = found = self._poses.pop(vehicle)
+            return found[0].copy()
 
-    def set_pose(self, vehicle: str, pose: Any) -> None:
-        """Move a vehicle; parts that are NaN stay."""
+    def set_pose(self, calls: "Calls", vehicle: str, pose: Any) -> None:
+        """Move a vehicle by the calls of a connection; parts that are NaN stay."""
+        if len(vehicle) > _LONGEST_NAME:
+            raise ThermorenderError(
+                f"the name of the vehicle has {len(vehicle)} letters; give one of up to {_LONGEST_NAME}"
+            )
         given = np.array([*_values(pose, "position", "xyz"), *_values(pose, "orientation", "wxyz")])
         moved = self.pose(vehicle)
         for part in (slice(0, 3), slice(3, 7)):
@@ -90,24 +120,53 @@ class Bridge(LocalListener):
             )
         moved[3:] /= length
         with self._lock:
-            if vehicle not in self._poses and len(self._poses) >= _MOST_VEHICLES:
-                raise ThermorenderError(f"{_MOST_VEHICLES} vehicles have a pose; use one of them")
-            self._poses[vehicle] = moved
-
-    def take_session(self) -> None:
-        """Count a session of the link; raise if the calls hold as many as they may."""
-        with self._lock:
-            if self._sessions >= _MOST_SESSIONS:
+            own = [name for name, (_, owner) in self._poses.items() if owner is calls]
+            if vehicle not in own and len(own) >= _MOST_VEHICLES:
                 raise ThermorenderError(
-                    f"{_MOST_SESSIONS} cameras of vehicles are in use by AirSim's calls; use one of them, or end a "
-                    "connection that uses others"
+                    f"this connection has set the poses of {_MOST_VEHICLES} vehicles; use the name of one of them"
                 )
-            self._sessions += 1
+            self._poses.pop(vehicle, None)
+            left = [name for name, (_, owner) in self._poses.items() if owner.ended]
+            for name in left[:-_MOST_VEHICLES]:
+                del self._poses[name]
+            self._poses[vehicle] = moved, calls
 
-    def give_sessions(self, count: int) -> None:
-        """Give sessions of the link back."""
+    def connected(self) -> Client:
+        """Return a new connection to the link."""
+        return connect(*self._link)
+
+    def hold(self, time_s: float) -> Held:
+        """Return room for a session that begins at a time [s]; the longest idle one is given up for it."""
         with self._lock:
-            self._sessions -= count
+            idle = None
+            if len(self._held) >= _MOST_SESSIONS:
+                idle = min(self._held, key=lambda each: each.called_s)
+                if time.monotonic() - idle.called_s < _IDLE_S:
+                    raise ThermorenderError(
+                        f"{_MOST_SESSIONS} cameras of vehicles are in use by AirSim's calls; try again when one of "
+                        f"them has had no call for {_IDLE_S:g} s"
+                    )
+                self._held.remove(idle)
+                idle.ended = True
+            held = Held(time_s)
+            self._held.append(held)
+        if idle is not None:
+            idle.close()
+        return held
+
+    def keep(self, held: Held) -> bool:
+        """Keep a session from being given up during a call; False if it was already."""
+        with self._lock:
+            held.called_s = math.inf
+            return not held.ended
+
+    def end(self, sessions: Iterable[Held]) -> None:
+        """Give sessions back."""
+        for held in sessions:
+            with self._lock:
+                held.ended = True
+                self._held = [each for each in self._held if each is not held]
+            held.close()
 
     def _admitted(self, connection: socket.socket) -> bool:
         """Whether there is room for a connection; the longest idle one is ended for it."""
@@ -123,6 +182,12 @@ class Bridge(LocalListener):
             self._called_s[connection] = now
             return True
 
+    def _called(self, connection: socket.socket, time_s: float) -> None:
+        """State when the last call of a connection ended; one that was ended stays so."""
+        with self._lock:
+            if connection in self._called_s:
+                self._called_s[connection] = time_s
+
     def _serve(self, connection: socket.socket) -> None:
         """Answer the calls of one connection until it ends, or sends something else."""
         msgpack = _msgpack()
@@ -131,7 +196,7 @@ class Bridge(LocalListener):
             raw=False, max_buffer_size=_MOST_BYTES, strict_map_key=False, max_array_len=_MOST_PARTS,
             max_map_len=_MOST_PARTS,
         )  # fmt: skip
-        with connect(*self._link) as client, contextlib.closing(Calls(self, client)) as calls:
+        with contextlib.closing(Calls(self)) as calls:
             while data := connection.recv(1 << 16):
                 try:
                     unpacker.feed(data)
@@ -142,18 +207,19 @@ class Bridge(LocalListener):
                     # A request is [0, number, method, arguments]; a notification [2, method, arguments] has no answer.
                     if not isinstance(each, list) or len(each) != 4 or each[0] != 0 or not isinstance(each[1], int):
                         return
-                    with self._lock:
-                        self._called_s[connection] = time.monotonic()
+                    self._called(connection, math.inf)
                     error, result = calls.answer(each[2], each[3])
                     connection.sendall(msgpack.packb([1, each[1], error, result], use_single_float=True))
+                    self._called(connection, time.monotonic())
 
 
 class Calls:
     """The calls of one connection, with its sessions of the link."""
 
-    def __init__(self, bridge: Bridge, client: Client) -> None:
-        self.bridge, self.client = bridge, client
-        self._sessions: dict[tuple[str, str], tuple[Session, float]] = {}
+    def __init__(self, bridge: Bridge) -> None:
+        self.bridge, self.ended = bridge, False
+        self._sessions: dict[tuple[str, str], Held] = {}
+        self._begin_s = 0.0  # Of new sessions: after the frames of those that were given up
         self._methods: dict[str, Callable[..., Any]] = {
             "ping": lambda: True, "getServerVersion": lambda: _SERVER,
             "getMinRequiredClientVersion": lambda: _LEAST_CLIENT,
@@ -162,8 +228,9 @@ class Calls:
         }  # fmt: skip
 
     def close(self) -> None:
-        """Give the sessions back; their connection to the link ends."""
-        self.bridge.give_sessions(len(self._sessions))
+        """Give the sessions back. The poses that the connection set stay until others need the room."""
+        self.ended = True
+        self.bridge.end(self._sessions.values())
 
     def answer(self, method: Any, arguments: Any) -> tuple[str | None, Any]:
         """Return (error or None, result) of a call."""
@@ -178,7 +245,7 @@ class Calls:
             return f"the arguments of {method} are not those of AirSim ({shortened(str(error))}); see its client", None
 
     def _set_pose(self, pose: Any, ignore_collision: bool = True, vehicle: str = "") -> None:
-        self.bridge.set_pose(str(vehicle), pose)
+        self.bridge.set_pose(self, str(vehicle), pose)
 
     def _images(self, requests: Any, vehicle: str = "", external: bool = False) -> list[dict[str, Any]]:
         if len(requests) > _MOST_IMAGES:
@@ -191,24 +258,44 @@ class Calls:
         return [self._response(each, frames[str(each["camera_name"])], pose) for each in requests]
 
     def _frame(self, vehicle: str, camera: str, pose: NDArray[np.float64], products: set[str]) -> Reply:
-        session, time_s = self._session(vehicle, camera)
         north, east, down = pose[:3]
         place = [east, north, -down, *pose[3:]]
-        # The camera moves right after the frame before, and then stands still.
-        rows = [[time_s - 0.999 * STEP_S, *place], [time_s, *place]]
-        self._sessions[vehicle, camera] = session, time_s + STEP_S
-        return session.frame(time_s, path=rows, products=sorted(products))
+        with self._session(vehicle, camera) as held:
+            assert held.session is not None
+            time_s = held.time_s
+            held.time_s += STEP_S
+            # The camera moves right after the frame before, and then stands still.
+            rows = [[time_s - 0.999 * STEP_S, *place], [time_s, *place]]
+            return held.session.frame(time_s, path=rows, products=sorted(products))
 
-    def _session(self, vehicle: str, camera: str) -> tuple[Session, float]:
-        if (vehicle, camera) not in self._sessions:
-            name = "" if camera in OWN_CAMERA else camera
-            self.bridge.take_session()
+    @contextlib.contextmanager
+    def _session(self, vehicle: str, camera: str) -> Iterator[Held]:
+        """The session of a vehicle's camera, opened where there is none or it was given up."""
+        held = self._sessions.get((vehicle, camera))
+        if held is None or not self.bridge.keep(held):
+            held = self._sessions[vehicle, camera] = self._opened("" if camera in OWN_CAMERA else camera)
+        try:
+            yield held
+        finally:
+            held.called_s = time.monotonic()
+
+    def _opened(self, camera: str) -> Held:
+        for key, each in list(self._sessions.items()):
+            if each.ended:
+                self._begin_s = max(self._begin_s, each.time_s)
+                del self._sessions[key]
+        held = self.bridge.hold(self._begin_s)
+        try:
+            client = self.bridge.connected()
             try:
-                self._sessions[vehicle, camera] = self.client.open(name, attitude="body", rate_hz=1.0 / STEP_S), 0.0
+                held.session = client.open(camera, attitude="body", rate_hz=1.0 / STEP_S)
             except BaseException:
-                self.bridge.give_sessions(1)
+                client.close()
                 raise
-        return self._sessions[vehicle, camera]
+        except BaseException:
+            self.bridge.end([held])
+            raise
+        return held
 
     def _response(self, request: dict[str, Any], reply: Reply, pose: NDArray[np.float64]) -> dict[str, Any]:
         product = _product(request)
@@ -227,8 +314,10 @@ class Calls:
         }  # fmt: skip
 
     def _camera_info(self, camera: str = "", vehicle: str = "", external: bool = False) -> dict[str, Any]:
-        name = self.client.server["camera"] if camera in OWN_CAMERA else camera
-        known = self.client.server["cameras"]
+        with self.bridge.connected() as client:
+            server = client.server
+        name = server["camera"] if camera in OWN_CAMERA else camera
+        known = server["cameras"]
         if name not in known:
             raise ThermorenderError(
                 f"camera {shortened(repr(name))} is not served; give 0 or one of {', '.join(known)}"

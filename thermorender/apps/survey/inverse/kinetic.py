@@ -100,14 +100,17 @@ def unknowns(renderer: "Renderer", material: NDArray[np.uint8], linear: LinearKe
             f"the emissivity of {', '.join(unstated[:4])}{' and others' if len(unstated) > 4 else ''} has no stated "
             "error, so kinetic_std leaves it out; 0.01 is about 0.4 K under a cold sky"
         )
-    if scene.spec.weather is None:
+    if scene.spec.sky_temperature is not None:
+        mend = "give the scene [weather] and leave out [sky]"
+        if scene.spec.weather is not None:
+            mend = "leave out [sky], so that the scene's [weather] gives it"
         sky = float(scene.sky_temperature)
         shares = [1.0 / float(each.band_emissivity(*linear.band_um, linear.reference_k)) - 1.0 for each in present]
         warmer, now = band_radiance(np.array([sky + _WARMER_K, sky]), *linear.band_um)
         notes.append(
-            f"the reflected sky of {sky:.0f} K is a setting of the scene, not of a weather: if it is {_WARMER_K:.0f} K "
+            f"the reflected sky of {sky:.0f} K is [sky] of the scene, not of a weather: if it is {_WARMER_K:.0f} K "
             f"warmer, kinetic temperatures are {max(shares) * float(warmer - now) / linear.slope:.2f} K lower at most; "
-            "give the scene [weather], or its sky"
+            f"{mend}, or replace [sky] by [atmosphere]"
         )
     return notes
 

@@ -7,7 +7,7 @@
 - Metashape: the text of "Export reference", with its coordinate system in the first line. Estimated columns (X_est …)
   take precedence over measured ones. Angles 0, 0, 0 are a camera that looks down with the top of its image to north.
   Yaw counts from geographic north at the camera, whatever the coordinate system of the positions. Omega, phi and kappa
-  turn the axes of that system.
+  turn the axes of that system. Heights are above the ellipsoid of its datum.
 - OpenSfM's reconstruction.json: each shot has the rotation vector and the translation from topocentric axes at
   `reference_lla` to camera axes, and a lens.
 - OpenDroneMap's shots.geojson: each shot has its longitude, latitude and height, its position in a UTM zone that the
@@ -35,7 +35,7 @@ from thermorender.apps.survey.inverse.frames import HEIGHTS, Place, camera_rotat
 from thermorender.errors import ThermorenderError
 from thermorender.formats import finite_json, read_text
 from thermorender.physics.geodesy import LocalFrame
-from thermorender.scene.georeference import pose_from_map
+from thermorender.scene.georeference import geodetic_from_map, pose_from_map
 from thermorender.trajectory.rotations import ENU_FROM_NED, rotation_from_angles
 from thermorender.trajectory.tables import rows_of
 
@@ -45,6 +45,8 @@ _YPR, _OPK = ("Yaw", "Pitch", "Roll"), ("Omega", "Phi", "Kappa")
 _TURNS = ("omega_deg", "phi_deg", "kappa_deg")
 # Camera axes right, down, forwards in image axes right, top, backwards.
 _IMAGE_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])
+# Angles that count turns reach beyond 360° [deg].
+_LARGEST_DEG = 1e5
 # The two positions of a shot agree to this [m].
 _SAME_M = 1.0
 # Camera axes in those of a vehicle that flies north, for a camera that looks down with the top of its image ahead.
@@ -83,7 +85,7 @@ def _own(path: Path) -> dict[str, Place]:
     for where, row in rows:
         name = _name(row["frame"], found, where)
         horizontal = [_number(row, key, where) for key in pairs[0]]
-        numbers = [_number(row, key, where) for key in angles[0]]
+        numbers = [_angle(row, key, where) for key in angles[0]]
         turn = (
             Rotation.from_matrix(ENU_FROM_NED.T) * _turned(numbers)
             if angles[0] is _TURNS
@@ -118,23 +120,31 @@ def _metashape(path: Path, text: str, scene: Scene) -> dict[str, Place]:
         if not all((row.get(name) or "").strip() for name in names):
             continue
         name = _name(row["Label"], found, where)
-        x, y, height, *angles = (_number(row, key, where) for key in names)
-        found[name] = _on_map(scene.frame, crs, _turned(angles).as_matrix(), (x, y, height))
+        x, y, height = (_number(row, key, where) for key in names[:3])
+        angles = [_angle(row, key, where) for key in names[3:]]
+        found[name] = _on_map(
+            scene.frame, crs, _turned(angles).as_matrix(), (x, y, height), f"{path}, camera {row['Label'].strip()!r}"
+        )
         if names[3].startswith("Yaw"):
             nadir = Rotation.from_matrix(_BODY_FROM_NADIR)
             found[name] = replace(found[name], rotation=rotation_from_angles(*angles) * nadir)
+    if not found:
+        raise ThermorenderError(f"{path} holds no pose of a camera; align the photographs before you export it")
     return found
 
 
 def _system(path: Path, line: str) -> Any:
     """The coordinate system that Metashape's first line states, in metres above the ellipsoid."""
+    import rasterio
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
 
     try:
         # The code at the end is that of the whole system; Metashape's own wording of some projections is not read.
         code = re.search(r'AUTHORITY\["EPSG","(\d{1,9})"\]\]\s*$', line)
-        crs = CRS.from_epsg(int(code[1])) if code else CRS.from_wkt(line[len(_METASHAPE) :].strip())
+        # Within an Env, GDAL prints no error of its own.
+        with rasterio.Env():
+            crs = CRS.from_epsg(int(code[1])) if code else CRS.from_wkt(line[len(_METASHAPE) :].strip())
     except CRSError:
         raise ThermorenderError(
             f"{path}: its coordinate system cannot be read; export it in one with an EPSG code"
@@ -163,22 +173,20 @@ def _check_system(path: Path, crs: Any) -> None:
         )
 
 
-def _on_map(frame: LocalFrame, crs: Any, axes: Floats, position: tuple[float, float, float]) -> Place:
+def _on_map(frame: LocalFrame, crs: Any, axes: Floats, position: tuple[float, float, float], where: str) -> Place:
     """The Place of a camera with axes east, north, up of a map and a position on it."""
-    from rasterio.crs import CRS
-    from rasterio.warp import transform
-
-    (longitude,), (latitude,) = transform(crs, CRS.from_epsg(4326), [position[0]], [position[1]])
-    pose = np.eye(4)
-    if crs.is_projected:
-        pose[:3, :3], pose[:3, 3] = axes, position
-        pose = pose_from_map(frame, crs, pose)
-        axes = pose[:3, :3]
-        # In the scene's frame north and down are those of its origin; `Place` has those of the camera.
-        axes = _local_axes(frame, latitude, longitude).T @ axes
-    return Place(
-        (latitude, longitude), True, position[2], "alt_ellipsoid_m", Rotation.from_matrix(ENU_FROM_NED.T @ axes)
-    )
+    try:
+        ((latitude, longitude, height),) = geodetic_from_map(crs, [position]).tolist()
+        pose = np.eye(4)
+        if crs.is_projected:
+            pose[:3, :3], pose[:3, 3] = axes, position
+            pose = pose_from_map(frame, crs, pose)
+            axes = pose[:3, :3]
+            # In the scene's frame north and down are those of its origin; `Place` has those of the camera.
+            axes = _local_axes(frame, latitude, longitude).T @ axes
+    except ThermorenderError as error:
+        raise ThermorenderError(f"{where}: {error}") from None
+    return Place((latitude, longitude), True, height, "alt_ellipsoid_m", Rotation.from_matrix(ENU_FROM_NED.T @ axes))
 
 
 def _local_axes(frame: LocalFrame, latitude: float, longitude: float) -> Floats:
@@ -238,7 +246,7 @@ def _shots(path: Path, given: Any, scene: Scene) -> dict[str, Place]:
         width, tall = int(stated["width"]), int(stated["height"])
         focal = float(stated["focal"]) * max(width, tall)
         lens = Lens(width, tall, focal, (0.0, 0.0), None, 0.0, str(path))
-        found[name] = replace(_on_map(scene.frame, crs, axes, (x, y, height)), lens=lens)
+        found[name] = replace(_on_map(scene.frame, crs, axes, (x, y, height), f"{path}, {name}"), lens=lens)
     return found
 
 
@@ -296,4 +304,11 @@ def _number(row: dict[str, Any], key: str, where: str) -> float:
         raise ThermorenderError(
             f"{where}: {key}={row.get(key)!r} is not a finite number; give one, with a point as decimal mark"
         )
+    return value
+
+
+def _angle(row: dict[str, Any], key: str, where: str) -> float:
+    value = _number(row, key, where)
+    if abs(value) > _LARGEST_DEG:
+        raise ThermorenderError(f"{where}: {key}={value:g} is not an angle; give degrees up to {_LARGEST_DEG:g}")
     return value
