@@ -197,19 +197,21 @@ def _leaves(
         for channels in (behind, leaves.channels)
     )
     scene, band, valid = baked.scene, baked.plan.band_um, np.array(hit.valid)
-    outside = np.where(np.array(ray.d.z) >= 0.0, *(
-        float(band_radiance(kelvin, *band)) for kelvin in (scene.sky_temperature, scene.surroundings_temperature)
-    ))  # fmt: skip
+    sky, around = (float(band_radiance(k, *band)) for k in (scene.sky_temperature, scene.surroundings_temperature))
+    outside = np.where(np.array(ray.d.z) >= 0.0, sky, around)
     passed, distance = np.array(leaves.passed, np.float64), np.array(leaves.distance, np.float64)
     ratio = 2.0 / 3.0 * np.square(field.leaf_m * rays.camera.focal_length_px / np.maximum(distance, 1e-3))
     spread = passed * np.square(own - np.where(valid, solid, outside))
     if outgoing.leaves:
         spread = spread + outgoing.leaves.scatter(sums) ** 2
-    square = (1.0 - passed) * spread * ratio / (1.0 + ratio)
-    # Light on leaves is resolved by parts of a crown and by sides that face up and down.
     reflects = 1.0 - min(scene.materials[scene.surfaces[k].material.flat[0]].band_emissivity(*band, REFERENCE_K)
                          for k in field.numbers)  # fmt: skip
-    square += np.square((1.0 - passed) * _UNRESOLVED * reflects * (own - outside.min()))
+    mirrored = reflects * (own - sky)
+    # The sides of leaves see shares of the sky between 0 and 1, here evenly: the standard deviation is 1/√12.
+    spread = spread + np.square(mirrored) / 12.0
+    square = (1.0 - passed) * spread * ratio / (1.0 + ratio)
+    # Light on leaves is resolved by parts of a crown and by sides that face up and down.
+    square += np.square((1.0 - passed) * _UNRESOLVED * mirrored)
     error = np.sqrt(square) / baked.plan.radiance_per_mk
     return np.where(valid | (passed < 1.0), error, np.nan)
 
