@@ -187,6 +187,20 @@ def test_both_sides_of_leaves_have_one_temperature_and_sunlit_ones_are_warmer(cr
     assert (warmer > 0.1).all() and warmer[4] > warmer[6]
 
 
+def test_leaves_in_the_shadow_of_something_solid_are_not_sunlit(tmp_path):
+    folder = tmp_path / "s"
+    folder.mkdir()
+    (folder / "trees.csv").write_text("east_m,north_m,above_ground_m\n-4,0,1\n5,-5,1\n")
+    write_leaf_tables(folder)
+    trees = scene_object("trees", [2.0, 2.0, 2.0], shape="sphere", instances="trees.csv", leaf_area_1_m=1.0,
+                         material="broadleaf", temperature="balance")  # fmt: skip
+    # The sun stands 58° high in the south at noon: the shadow at 2 m is 1.9 m north of what is 5 m high.
+    plate = scene_object("plate", [6.0, 6.0, 0.2], [-4.0, -1.9, 5.0], 300.0, "granite")
+    renderer = tr.Renderer(tr.load_scene(write_balance(folder, extra=WEATHER + trees + plate)), "fast")
+    share = renderer.baked.device.static_outgoing.leaves._means(renderer.baked.geometry.crowns)
+    assert share[0].max() < 0.02 and share[1].min() > 0.4
+
+
 def test_excess_of_sunlit_leaves_has_its_mean_over_all_directions(crop):
     mi, leaves = activate(), crop.baked.device.static_outgoing.leaves
     way = np.random.default_rng(1).standard_normal((200_000, 3))

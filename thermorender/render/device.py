@@ -67,11 +67,9 @@ class DeviceScene:
     @cached_property
     def copies_error(self) -> float:
         """Root mean square error of the light on copies of bodies [W m⁻² sr⁻¹]; 0 without copies."""
-        if self._face_error is None or not self.geometry.has_copies:
-            return 0.0
         surfaces = self.geometry.surfaces
         copies = [isinstance(each.instances, Instances) for each in surfaces]
-        if not any(copies):
+        if self._face_error is None or not any(copies):
             return 0.0
         of = np.repeat(copies, [len(each.faces) for each in surfaces])
         return float(np.sqrt(np.average(self._face_error[of], weights=self.geometry.area[of])))

@@ -98,9 +98,9 @@ class Crowns:
         """
         from scipy.stats import qmc
 
-        # In random order: the directions of rays are Sobol' points too.
+        # Even in each patch, and in random order: the directions of rays are Sobol' points too.
         random = np.random.Generator(np.random.Philox(_SEED))
-        u = random.permutation(qmc.Sobol(5, seed=random).random(PATCHES * count)).reshape(PATCHES, count, 5)
+        u = np.stack([random.permutation(qmc.Sobol(4, seed=random).random(count)) for _ in range(PATCHES)])
         patch = np.arange(PATCHES)
         # A body of s times the width has s³ of the volume.
         width = np.cbrt(0.5 * (u[..., 0] + (patch >= QUARTERS)[:, None]))

@@ -27,7 +27,7 @@ from thermorender.render.light import contacts, leaves
 from thermorender.scene.surface import Surface
 
 # A cached Transport of another version is not used: increase this when the result of `trace` changes.
-VERSION = 7
+VERSION = 8
 # Bins of zenith angle for rays to the sky, even in the root of its cosine: narrow at the horizon.
 SKY_BINS = 16
 # About 30 bytes per ray at once.
