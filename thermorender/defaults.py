@@ -4,7 +4,7 @@
 BAND_UM = (7.5, 13.5)
 CAMERA = "zenmuse-xt2"
 SCENES = ("heath", "village", "ridge")
-SCENE = SCENES[0]
+SCENE = "village"
 # A flight measures its sampling error in each n-th frame.
 AUDIT = 10
 TEMPERATURE_MAPS = ("fok-1to1", "fok-9to1")

@@ -9,6 +9,8 @@ from PIL import Image
 import thermorender as tr
 from scenes import WEATHER, write_raster
 from thermorender.errors import ThermorenderError
+from thermorender.learned.apply import kinetic_from_map
+from thermorender.learned.temperature_map import Inputs, load_model
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.scene.material_map import write_map
 from thermorender.scene.meshes.mesh import load
@@ -346,13 +348,20 @@ def test_gltf_multiplies_linear_colours_by_vertex_and_factor(tmp_path):
     np.testing.assert_array_equal(part.colour, [[expected]])
 
 
-def test_maps_of_neighbours_refuse_colours_without_a_picture(folder):
+@pytest.mark.parametrize("name", ["fok-1to1", "fok-9to1", "procedural-palette"])
+def test_maps_see_a_face_of_one_colour_as_an_even_area(folder, name):
     (folder / "m.obj").write_text(coloured_obj((*THREE, (200, 100, 50))))
-    learned = 'source = "learned"\nmodel = "fok-1to1"'
-    kelvin = scene(folder, temperature=learned).surfaces[0].temperature
-    assert kelvin.shape == (1, 2) and float(np.ptp(kelvin)) > 0.5
-    with pytest.raises(ThermorenderError, match=r"reads the neighbours of a pixel, .* such as fok-1to1"):
-        scene(folder, temperature=learned.replace("1to1", "9to1"))
+    made = scene(folder, temperature=f'source = "learned"\nmodel = "{name}"')
+    (found,) = made.surfaces
+    assert found.temperature.shape == (1, 2) and float(np.ptp(found.temperature)) > 0.5
+    for colour, kelvin in zip(found.colour[0], found.temperature[0], strict=True):
+        picture = np.ascontiguousarray(np.broadcast_to(colour, (9, 9, 3)))
+        expected, *_ = kinetic_from_map(load_model(name), Inputs(picture), np.zeros((9, 9), np.uint8), made.materials)
+        assert kelvin == pytest.approx(expected[4, 4], abs=1e-3)
+
+
+def test_learned_materials_refuse_colours_without_a_picture(folder):
+    (folder / "m.obj").write_text(coloured_obj((*THREE, (200, 100, 50))))
     with pytest.raises(ThermorenderError, match=r"reads materials from textures, and this mesh has none"):
         scene(folder, 'source = "learned"\nmodel = "procedural"\nfallback = "soil_loam"')
 

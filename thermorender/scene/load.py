@@ -32,9 +32,10 @@ def scene_folder(name: str | PathLike[str]) -> Path:
     if os.path.isfile(path / "scene.toml") or path.name == "scene.toml":
         return path
     shipped = data_folder("scenes")
-    if os.path.isfile(shipped / str(name) / "scene.toml") and len(Path(name).parts) == 1:
-        return shipped / str(name)
-    known = ", ".join(sorted(item.parent.name for item in shipped.glob("*/scene.toml")))
+    found = {item.parent.relative_to(shipped).as_posix(): item.parent for item in shipped.rglob("scene.toml")}
+    if path.as_posix() in found:
+        return found[path.as_posix()]
+    known = ", ".join(sorted(found))
     what = "holds no scene.toml" if os.path.isdir(path) else "is a file" if os.path.exists(path) else "does not exist"
     raise ThermorenderError(f"scene {str(name)!r} {what}; give a folder with a scene.toml or one of {known}")
 
@@ -45,7 +46,8 @@ def load_scene(name: str | PathLike[str]) -> Scene:
     Parameters
     ----------
     name : path or str
-        Folder holding `scene.toml`, or "heath", "village", "ridge".
+        Folder holding `scene.toml`, or "village", "heath", "ridge"; "village/survey" and so on are their surveys from
+        above, scenes of rasters.
 
     Raises
     ------

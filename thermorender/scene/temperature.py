@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.defaults import TEMPERATURE_MAP
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import Mixture, parts_of
@@ -173,19 +172,14 @@ def _material(spec: TemperatureSpec, texels: Texels) -> tuple[_Kelvin, NDArray[n
 
 
 def _learned(spec: TemperatureSpec, texels: Texels) -> tuple[_Kelvin, NDArray[np.uint8]]:
+    from thermorender.learned.even import even
     from thermorender.learned.temperature_map import Inputs
 
     assert texels.model is not None
     if texels.surface is None or texels.material.size == 1 or not separate(texels.surface):
         return from_map(texels.model, Inputs(texels.colour, texels.texel_m), texels)
-    reach = getattr(texels.model.predictor, "reach", None)
-    if reach is None or reach() > 0:
-        raise ThermorenderError(
-            f"{texels.where}: temperature.model={texels.model.name!r} reads the neighbours of a pixel, and the faces "
-            f"of surface {texels.surface.name!r} have colours without a picture around them; bake the colours into a "
-            f"texture, or take a map that sees colour alone, such as {TEMPERATURE_MAP}"
-        )
-    return from_map(texels.model, Inputs(texels.colour, None), texels)
+    # Faces with a colour each: neighbouring texels are not neighbours in space.
+    return from_map(even(texels.model), Inputs(texels.colour, None), texels)
 
 
 def learned_map(spec: TemperatureSpec) -> "TemperatureMap | None":

@@ -30,6 +30,7 @@ from thermorender.defaults import EMISSIVITY_MAP, FALLBACK_MATERIAL
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
 from thermorender.learned.apply import kinetic_from_map
+from thermorender.learned.even import EVEN_PX
 from thermorender.learned.temperature_map import Inputs, TemperatureMap
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.progress import Progress
@@ -44,8 +45,6 @@ OWN, REFITTED, CALIBRATED = "own", "refitted", "calibrated"
 OWN_MEAN = "D the frame's own mean"
 THERMAL = "thermal frames of other lands"
 _WORDS = {"terrain": "relief", "conditions": "hour and weather", "depth": "depth"}
-# Side of the uniform picture that a map translates for an object's temperature; networks take multiples of it [px].
-_PATCH_PX = 256
 
 
 @dataclass
@@ -409,7 +408,7 @@ def object_temperatures(scene: Scene, model: TemperatureMap, reference: Renderer
             planes = reliefs(scene, [time], reference.baked.geometry)[time]
     for item in scene.spec.objects:
         surface = surfaces[item.name]
-        patch = np.empty((_PATCH_PX, _PATCH_PX, 3), np.uint8)
+        patch = np.empty((EVEN_PX, EVEN_PX, 3), np.uint8)
         patch[:] = np.round(surface.colour.reshape(-1, 3).mean(axis=0))
         at = _texel_of(scene, item)
         terrain = {name: np.full(patch.shape[:2], planes[name].flat[at], np.float32) for name in NAMES if planes}
@@ -417,7 +416,7 @@ def object_temperatures(scene: Scene, model: TemperatureMap, reference: Renderer
         inputs = Inputs(patch, scene.surfaces[0].texel_m, terrain, weather)
         stand_in = weather["air_k"] if weather else None
         kelvin, *_ = kinetic_from_map(model, inputs, material, scene.materials, sky, stand_in)
-        found[item.name] = float(kelvin[_PATCH_PX // 2, _PATCH_PX // 2])
+        found[item.name] = float(kelvin[EVEN_PX // 2, EVEN_PX // 2])
     return found
 
 

@@ -19,6 +19,7 @@ class Remembered:
     def __init__(self, predictor: Any, most: int | None = None) -> None:
         self.needs, self.above_air = predictor.needs, predictor.above_air
         self.header, self.arrays = predictor.header, predictor.arrays
+        self.reach = getattr(predictor, "reach", None)
         self.spared_s = 0.0
         self.plain, self._most = predictor, most
         self._kept: dict[bytes, tuple[NDArray[np.float64], float]] = {}
@@ -48,7 +49,7 @@ class Calibrated:
 
     def __init__(self, predictor: Remembered, first: float, slope: float) -> None:
         self._predictor, self._line = predictor, (first, slope)
-        self.arrays = predictor.arrays
+        self.arrays, self.reach = predictor.arrays, predictor.reach
 
     @property
     def spared_s(self) -> float:

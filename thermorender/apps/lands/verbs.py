@@ -129,12 +129,16 @@ def make_scene(
         typer.Option(help="Draws date, hour, snow, cloud, wind and air from a seed; options given here take "
                      "precedence."),
     ] = None,
-    three_d: Annotated[
-        bool, typer.Option("--three-d", help="With walls and porous crowns; a survey of them from above in survey/.")
+    draped: Annotated[
+        bool, typer.Option("--draped", help="Rasters alone, a photograph over heights: no walls, no porous crowns.")
     ] = False,
 ) -> None:  # fmt: skip
-    """Make a procedural scene from a seed, under a weather, with known temperatures."""
+    """Make a procedural scene from a seed, under a weather, with known temperatures; its survey from above in
+    survey/.
+    """
     from thermorender.apps.lands.procedural.procedural_scene import make, weather_of
+    from thermorender.apps.lands.procedural.three_d import make_world
+    from thermorender.apps.lands.procedural.three_d import write as write_world
     from thermorender.apps.lands.procedural.truth import write
 
     weather = weather_of(
@@ -143,12 +147,9 @@ def make_scene(
     )  # fmt: skip
     with progress() as report:
         report("making the landscape", 0.0)
-        if three_d:
-            from thermorender.apps.lands.procedural.three_d import make_world
-            from thermorender.apps.lands.procedural.three_d import write as write_world
-
+        if draped:
+            folder = write(make(kind, seed, size_m, texel_m, post_m, weather=weather), output, progress=report)
+        else:
             world = make_world(kind, seed, size_m, texel_m, post_m, weather=weather)
             folder = write_world(world, output, progress=report)
-        else:
-            folder = write(make(kind, seed, size_m, texel_m, post_m, weather=weather), output, progress=report)
     typer.echo(str(folder))
