@@ -39,7 +39,7 @@ def everything(scene: tr.Scene) -> dict[str, Any]:
     names = ("spec", "camera", "time", "frame", "grid", "surfaces", "terrain_count", "solved_count", "materials", "air",
              "tracked_objects", "temperature_state", "emissivity_report", "where", "altitude_m", "sky_temperature",
              "surroundings_temperature", "sun", "weather", "sky_notes", "surface_notes", "targets",
-             "geoid_undulation_m", "truth_temperature_spec")  # fmt: skip
+             "geoid_undulation_m")  # fmt: skip
     found = {name: refusal(lambda name=name: getattr(scene, name)) for name in names}
     calls = {
         "digest": scene.digest, "weather_digest": scene.weather_digest, "agreement": scene.refuse_disagreement,

@@ -366,6 +366,17 @@ def test_learned_materials_refuse_colours_without_a_picture(folder):
         scene(folder, 'source = "learned"\nmodel = "procedural"\nfallback = "soil_loam"')
 
 
+def test_the_true_temperatures_of_a_mesh_are_those_of_its_file(folder):
+    raster = '[[surface]]\nname = "ground"\ntemperature = "kelvin.tif"\n'
+    made = scene(folder, more=f"{raster}{ROOF}[truth]\ntemperature = true\n")
+    guessed = made.with_temperature("fok-1to1").with_camera("boson-640")
+    assert (guessed.surfaces[1].temperature != 310.0).all()
+    for one, own in zip(guessed.with_true_temperature().surfaces, made.surfaces, strict=True):
+        np.testing.assert_array_equal(one.temperature, own.temperature)
+    with pytest.raises(ThermorenderError, match=r"truth.temperature=False .*true, where the temperatures of this file"):
+        scene(folder, more="[truth]\ntemperature = false\n")
+
+
 def test_a_map_reports_the_mean_of_all_surfaces(folder):
     found = scene(folder, temperature='source = "learned"\nmodel = "fok-1to1"')
     alone = scene(folder, temperature='source = "learned"\nmodel = "fok-1to1"', more=ROOF)

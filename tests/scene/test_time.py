@@ -322,10 +322,10 @@ def test_a_scene_at_another_instant(scene):
 
 def test_a_truth_raster_is_valid_at_the_scenes_own_instant(tmp_path):
     scene = tr.load_scene(write_terrain(tmp_path / "tiny", extra=DAY))
-    assert scene.truth_temperature_spec.source == "raster"
+    assert scene.with_true_temperature().spec.temperature.source == "raster"
     assert scene.at(NOON).spec.truth_temperature is not None
     with pytest.raises(ThermorenderError, match=r"has no truth.temperature"):
-        _ = scene.at(NOON + MINUTE).truth_temperature_spec
+        scene.at(NOON + MINUTE).with_true_temperature()
 
 
 def test_too_little_weather_before_the_instant_gives_a_warning(scene):

@@ -5,7 +5,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -59,9 +58,7 @@ class Declared:
     painted: tuple[Patch, ...] = ()  # Areas of the terrain with another material, the latest last
     # Columns of tracks that an edit fixes at one value, by the name of the object
     held: Mapping[str, frozenset[str]] = field(default_factory=dict)
-    # truth, truth_weather: The truth raster of the scene file, and the weather it belongs to
-    truth: Path | None = None
-    truth_weather: WeatherSpec | None = None
+    of_file: SceneSpec | None = None  # The scene file without edits; None for surfaces made in memory
     given: bool = False  # Whether the terrain's temperatures came with surfaces made in memory
 
     @property
@@ -76,7 +73,8 @@ class Declared:
         return str(self.spec.folder / "scene.toml")
 
     def under(self, weather: WeatherSpec, series: Any) -> "Declared":
-        """Return these declarations under another weather; the truth raster belongs to that of the scene file only."""
-        truth = self.truth if series is None and weather == self.truth_weather else None
+        """Return these declarations under another weather; the truth belongs to that of the scene file only."""
+        same = self.of_file is not None and series is None and weather == self.of_file.weather
+        truth = self.of_file.truth_temperature if self.of_file is not None and same else None
         spec = replace(self.spec, weather=weather, truth_temperature=truth)
         return replace(self, spec=spec, given_weather=series, time=weather.time)

@@ -65,8 +65,7 @@ def load_scene(name: str | PathLike[str]) -> Scene:
         place_altitude_m=spec.atmosphere.altitude_m if spec.atmosphere else None,
         last_sky=spec.sky_temperature,
         temperature_map=learned_map(spec.temperature),
-        truth=spec.truth_temperature,
-        truth_weather=spec.weather,
+        of_file=spec,
     )
     return Scene(declared)
 

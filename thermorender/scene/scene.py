@@ -11,6 +11,7 @@ from dataclasses import replace
 from datetime import datetime
 from functools import cached_property
 from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, NoReturn, TypeVar, overload
 
 import numpy as np
@@ -210,20 +211,28 @@ class Scene:
         assert self.spec.sky_temperature is not None
         return float(self.spec.sky_temperature)
 
-    @property
-    def truth_temperature_spec(self) -> TemperatureSpec:
-        """TemperatureSpec of the truth raster, or of the heat balance without one.
+    def with_true_temperature(self) -> "Scene":
+        """Return this scene at the true temperatures of its terrain: those of [truth], or of the heat balance without.
 
         Raises
         ------
         ThermorenderError
             The scene has neither.
         """
-        if self.spec.truth_temperature is None:
-            if self.balanced:
-                return self.spec.temperature
-            raise ThermorenderError(f"{self.where} has no truth.temperature; name a raster of kelvin there")
-        return TemperatureSpec(source="raster", raster=self.spec.truth_temperature)
+        truth, file = self.spec.truth_temperature, self._declared.of_file
+        if truth is None and not self.balanced:
+            raise ThermorenderError(
+                f"{self.where} has no truth.temperature; name a raster of kelvin there, or true where the temperatures "
+                "of the file are true"
+            )
+        if truth is None:
+            return self.with_temperature(self.spec.temperature)
+        if isinstance(truth, Path):
+            return self.with_temperature(TemperatureSpec(source="raster", raster=truth))
+        assert file is not None
+        found, own = self.with_temperature(file.temperature), {row.name: row.temperature for row in file.surfaces}
+        surfaces = tuple(replace(one, temperature=own.get(one.name)) for one in self._declared.spec.surfaces)
+        return found._edited(replace(found._declared, spec=replace(found._declared.spec, surfaces=surfaces)))
 
     @property
     def balanced(self) -> bool:

@@ -89,6 +89,13 @@ def kelvin_or_raster(value: Any, where: Where) -> "float | Path":
     return raster_inside(value, where) if raster else kelvin(value, where)
 
 
+def raster_or_true(value: Any, where: Where) -> "Path | bool":
+    """Read the name of a raster of true temperatures, or true: those that the file declares."""
+    if value is False:
+        where.refuse(value, "true, where the temperatures of this file are true, or a raster; else leave [truth] out")
+    return True if value is True else raster_inside(value, where)
+
+
 def raster_inside(value: Any, where: Where) -> Path:
     """Read the name of a raster whose files are all in the scene's folder; return its Path."""
     path = file_inside(value, where)
@@ -465,7 +472,7 @@ class SceneSpec:
     weather: WeatherSpec | None = key(table(WeatherSpec), None)
     surroundings_temperature: float | None = key(entry("temperature", cold, None), None, name="surroundings")
     camera: str = key(entry("model", camera_model, defaults.CAMERA), defaults.CAMERA)
-    truth_temperature: Path | None = key(entry("temperature", raster_inside, None), None, name="truth")
+    truth_temperature: "Path | bool | None" = key(entry("temperature", raster_or_true, None), None, name="truth")
     frame: tuple[float, float, float] | None = key(lambda value, where: astuple(read(_Frame, value, where)), None)
     objects: tuple[ObjectSpec, ...] = key(tables(ObjectSpec), (), name="object")
     surfaces: tuple[SurfaceSpec, ...] = key(tables(SurfaceSpec), (), name="surface")

@@ -81,7 +81,7 @@ def of_land(kind, seed):
         scene = load_scene(write(make(kind, seed, *_LAND, weather=weather), folder / f"{kind}_{seed}"))
         scene = scene.with_camera(scene.camera.coarser(_COARSER))
         flights = [_flight(scene, seed, *place) for place in ((0.0, 0.0), (5.0, 2.0))]
-        reference = Renderer(scene.with_temperature(scene.truth_temperature_spec), **_SETTINGS)
+        reference = Renderer(scene.with_true_temperature(), **_SETTINGS)
         view, other = (view_of(reference, each.poses[0], 0.0, 0, True) for each in flights)
         band_um = scene.camera.band_um
         known = emissivities.band_emissivities(scene)

@@ -182,7 +182,7 @@ def _truth(scene: Scene) -> Scene | None:
     """Return the scene at its true temperatures, or None if they are unknown."""
     if scene.spec.truth_temperature is None and not scene.balanced:
         return None
-    return scene.with_temperature(scene.truth_temperature_spec)
+    return scene.with_true_temperature()
 
 
 def _thermals(

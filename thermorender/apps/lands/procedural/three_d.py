@@ -217,7 +217,7 @@ def _declare(
     solid = {
         "terrain": {"mesh": MESH}, "temperature": air if known else {"source": "balance"}, "frame": _place(frame),
         "emissivity": {"source": "material", "material": scene.class_names[1], "classes": scene.class_names},
-        "truth": None, "surface": tables,
+        "truth": {"temperature": True} if known else None, "surface": tables,
     }  # fmt: skip
     write_text(folder / "scene.toml", scene_toml(scene, known, solid))
     return tables
