@@ -21,7 +21,7 @@ WAIT_MS = 120_000
 # A rubber roof of the village is then at the clicked place, a share of the picture's width and height.
 POSE, PLACE = "0,-96,96,0,-45,0", (0.40, 0.60)
 # The guide's scene, and labels on its map: material; left, top, right and bottom as shares of it.
-SMALL = ("make-scene", "village", "--size-m", "60", "--texel-m", "0.5")
+SMALL = ("make-scene", "village", "--draped", "--size-m", "60", "--texel-m", "0.5")
 LABELS = (
     ("grass_green", 0.25, 0.15, 0.30, 0.35), ("grass_green", 0.50, 0.87, 0.62, 0.97),
     ("soil_loam", 0.72, 0.60, 0.80, 0.80), ("soil_loam", 0.34, 0.66, 0.36, 0.80),

@@ -17,7 +17,7 @@ def thermorender(text):
 
 land = Path("land")
 if not land.exists():
-    thermorender(f"make-scene heath --seed 3 --size-m 32 --texel-m 0.5 --post-m 1 -o {land}")
+    thermorender(f"make-scene heath --draped --seed 3 --size-m 32 --texel-m 0.5 --post-m 1 -o {land}")
 ELEVATION, ORTHOPHOTO = land / "elevation.tif", land / "orthophoto.tif"
 
 mine = Path("mine")

@@ -16,7 +16,7 @@ def thermorender(text):
 
 # Pairs of a photograph and a thermal picture, from a flight over one land.
 if not Path("pairs").exists():
-    thermorender("make-scene heath --seed 4 --size-m 40 --texel-m 0.2 -o land4")
+    thermorender("make-scene heath --draped --seed 4 --size-m 40 --texel-m 0.2 -o land4")
     thermorender("fly land4 --stop-s 1 --rate-hz 4 --products visible,radiometric -o pictures")
     thermorender("prepare pictures pictures --visible *_visible.png --thermal *_radiometric.tif --split train -o pairs")
 if not Path("mine.npz").exists():
@@ -24,7 +24,7 @@ if not Path("mine.npz").exists():
 
 # Another land, which the map has not seen.
 if not Path("land5").exists():
-    thermorender("make-scene heath --seed 5 --size-m 40 --texel-m 0.2 -o land5")
+    thermorender("make-scene heath --draped --seed 5 --size-m 40 --texel-m 0.2 -o land5")
 scene = tr.load_scene("land5")
 pose = scene.pose(0, 0, 30, pitch_deg=-90)
 truth = tr.Renderer(scene, quality="fast")

@@ -11,7 +11,7 @@ import thermorender as tr
 from thermorender.materials.library import load_library
 
 if not Path("village60").exists():
-    command = "make-scene village --seed 1 --size-m 60 --texel-m 0.25 -o village60"
+    command = "make-scene village --draped --seed 1 --size-m 60 --texel-m 0.25 -o village60"
     subprocess.run([sys.executable, "-m", "thermorender", *command.split()], check=True)
 
 slate = load_library()["roof_slate"]

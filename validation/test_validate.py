@@ -337,12 +337,13 @@ def test_errors_of_air_channels_are_below_the_plan(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("verb", "module", "function", "expected"),
     [
-        (["convergence", "ridge", "--quick"], convergence, "convergence", (["ridge"], "OUT", "quick", False, "auto")),
-        # It loads the village, whose buildings take a minute.
+        (["convergence", "heath/survey", "--quick"], convergence, "convergence",
+         (["survey"], "OUT", "quick", False, "auto")),
+        # It makes the drapes.
         *slow((["convergence", "--overwrite"], convergence, "convergence",
                (["heath", "village", "ridge"], "OUT", "full", True, "auto"))),
         (["growth", "--device", "cpu"], growth, "run", ("OUT", "cpu")),
-        (["sensor", "ridge"], sensor, "sensor", ("OUT", "ridge", "auto")),
+        (["sensor", "heath/survey"], sensor, "sensor", ("OUT", "survey", "auto")),
         (["footage", "a.tif", "b", "--base", "tau2-640", "--scale", "0.04,1", "--name", "x"], sensor_statistics,
          "compare", (["a.tif", "b"], "OUT", "tau2-640", (0.04, 1.0), "heath", "x", "auto")),
         (["emissivity", "--seeds", "7, 8"], emissivity, "evaluate", ("procedural", [7, 8])),

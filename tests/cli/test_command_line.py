@@ -129,7 +129,8 @@ def test_terminated_process_cleans_up(tmp_path, name):
     """Terminated by SIGTERM, as `timeout`, `docker stop` and systemd do, or by the end of its terminal."""
     number = getattr(signal, name)
     folder = tmp_path / "new"
-    command = [sys.executable, "-m", "thermorender", "make-scene", "heath", "--size-m", "100", "-o", folder / "scene"]
+    land = ["make-scene", "heath", "--draped", "--size-m", "100", "-o", folder / "scene"]
+    command = [sys.executable, "-m", "thermorender", *land]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     begun = False
     while process.poll() is None and not begun:

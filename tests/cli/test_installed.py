@@ -81,11 +81,11 @@ def test_wheel_holds_everything_that_ships_and_nothing_else(wheel):
 
 @pytest.mark.slow
 def test_wheel_works_away_from_its_checkout(wheel):
-    code = "import thermorender as tr, sys; s = tr.load_scene('heath'); print(tr.__file__); print(s.spec.folder)"
+    code = "import thermorender as tr, sys; s = tr.load_scene('heath/survey'); print(tr.__file__); print(s.spec.folder)"
     places = run(wheel, "-c", code).splitlines()
     assert all(Path(place).is_relative_to(wheel) for place in places), places
     assert "sand_quartz" in run(wheel, "-m", "thermorender", "materials", "list")
-    assert "spectral nodes" in run(wheel, "-m", "thermorender", "plan", "heath", "--air", "tropical")
+    assert "spectral nodes" in run(wheel, "-m", "thermorender", "plan", "heath/survey", "--air", "tropical")
 
 
 # --- doctor -----------------------------------------------------------------------------------------------
@@ -179,8 +179,8 @@ def test_variant_that_cannot_start_reports_its_last_line():
 @pytest.mark.slow
 def test_make_scene_writes_a_scene_that_loads(tmp_path):
     def make(name, *more):
-        arguments = ["make-scene", "village", "-o", str(tmp_path / name), "--size-m", "60", "--texel-m", "0.5"]
-        return CliRunner().invoke(cli.app, [*arguments, "--post-m", "1", *more])
+        arguments = ["make-scene", "village", "--draped", "-o", str(tmp_path / name)]
+        return CliRunner().invoke(cli.app, [*arguments, "--size-m", "60", "--texel-m", "0.5", "--post-m", "1", *more])
 
     done = make("one", "--seed", "3")
     assert done.exit_code == 0 and done.output.strip().endswith(str(tmp_path / "one"))

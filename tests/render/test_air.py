@@ -249,7 +249,9 @@ def test_neglected_air_between_surfaces_is_in_the_stated_error(tmp_path):
     # A frame's budget includes it, together with the noise of the rays.
     stated = renderer.frame(tr.pose(0, 0, 2.0, **DOWN)).budget_mk["bake"]
     assert stated > reflected[0][:2].min() / renderer.plan.radiance_per_mk
-    assert baked.errors_mk["air"] > 0.0 and "air" not in tr.Renderer(tr.load_scene("heath"), rays=2).baked.errors_mk
+    assert (
+        baked.errors_mk["air"] > 0.0 and "air" not in tr.Renderer(tr.load_scene("heath/survey"), rays=2).baked.errors_mk
+    )
 
 
 @pytest.mark.parametrize(
@@ -362,7 +364,7 @@ def test_dynamic_object_in_air_equals_a_static_one(tmp_path):
 
 @pytest.mark.parametrize("up", [4e4, *slow(-2000.0)])
 def test_camera_above_the_modelled_air_is_refused_by_pose(up):
-    scene = tr.load_scene("heath").with_air("us-1976")
+    scene = tr.load_scene("heath/survey").with_air("us-1976")
     with pytest.raises(ThermorenderError, match=r"pose: the camera is -?\d+ m above .* give −500 … 30000 m"):
         tr.Renderer(scene, "fast", rays=4, device="cpu").radiance(tr.pose(0.0, 0.0, up, pitch_deg=-90.0))
 

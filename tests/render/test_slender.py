@@ -75,7 +75,7 @@ def test_boxes_enclose_connected_parts():
 
 
 def test_rectangles_contain_all_pixels_that_a_band_covers():
-    camera, random = load_scene("heath").camera, np.random.default_rng(3)
+    camera, random = load_scene("heath/survey").camera, np.random.default_rng(3)
     pose = tr.pose(0, 0, 400, pitch_deg=-90)
     for _ in range(20):
         rod = trimesh.creation.box(extents=(random.uniform(0.01, 20), 0.1, 0.05))

@@ -32,8 +32,8 @@ SEED = 20
 _LEFT_OUT = {"versions", "profile", "seconds", "files", "checksum"}
 # {land: arguments of make-scene}
 LANDS = {
-    "heath": "heath", "village": "village", "walls": "village --three-d",
-    "snow": "ridge --snow-depth-m 0.2 --air-low-c=-8 --air-high-c=-2",
+    "heath": "heath --draped", "village": "village --draped", "walls": "village",
+    "snow": "ridge --draped --snow-depth-m 0.2 --air-low-c=-8 --air-high-c=-2",
 }  # fmt: skip
 _MATERIALS = '[emissivity]\nsource = "learned"\nmodel = "procedural"\nfallback = "soil_loam"\n'
 _YARD = """[terrain]\nmesh = "yard.obj"\n[temperature]\nsource = "constant"\nvalue = 295.0
@@ -195,7 +195,7 @@ class Checkout:
     def path(self, name, camera="boson"):
         """Return the folder of a scene, made once, or the name of a shipped one."""
         if name in SHIPPED:
-            return name.split("-")[0]
+            return name.split("-")[0] + "/survey"
         folder, (land, tables, objects) = self.folder / "scenes" / f"{name}-{camera}", SCENES[name]
         if not folder.exists():
             part, text = self.fresh("scene"), _YARD

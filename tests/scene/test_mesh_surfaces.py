@@ -64,6 +64,7 @@ def names(of, surface):
 def test_a_surface_has_its_own_material_and_temperature(folder):
     found = scene(folder, more=ROOF)
     ground, roof = found.surfaces
+    assert found.main_surface is ground
     assert set(names(found, ground).flat) == {"constant"} and (ground.temperature == 290.0).all()
     assert set(names(found, roof).flat) == {"roof_tile_clay"} and (roof.temperature == 310.0).all()
     for one in ("m:tiles", "tiles", "roof"):

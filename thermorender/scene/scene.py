@@ -204,6 +204,12 @@ class Scene:
         return str(self.spec.folder.name)
 
     @property
+    def main_surface(self) -> Surface:
+        """The terrain's Surface with the most texels: its raster, or the ground of a mesh in whose texels figures and
+        notes are."""
+        return max(self.surfaces[: self.terrain_count], key=lambda surface: surface.material.size)
+
+    @property
     def sky_temperature(self) -> float:
         """Temperature of the isotropic black sky with the radiance of the scene's sky in the camera's band [K]."""
         if self.air is not None:

@@ -24,7 +24,7 @@ def line_of(scene: "Scene") -> str:
     texels = sum(surface.material.size for surface in scene.surfaces)
     camera, folder = scene.camera, scene.spec.folder.name
     return (
-        f"Scene({folder!r}, {texels} texels of {scene.surfaces[0].texel_m:.3g} m, {_temperature(scene)}, "
+        f"Scene({folder!r}, {texels} texels of {scene.main_surface.texel_m:.3g} m, {_temperature(scene)}, "
         f"{_sky(scene)}, {camera.name} {camera.width}×{camera.height})"
     )
 
@@ -36,7 +36,7 @@ def table_of(scene: "Scene") -> str:
     texels = sum(surface.material.size for surface in scene.surfaces)
     lines = [
         f"{spec.folder.name}: {spec.title}",
-        f"  mesh          {faces} triangles, {texels} texels of {scene.surfaces[0].texel_m:.3g} m",
+        f"  mesh          {faces} triangles, {texels} texels of {scene.main_surface.texel_m:.3g} m",
         f"  temperature   {spec.temperature.source}, {_temperature(scene)}",
         f"  materials     {_materials(scene)}",
         f"  sky           {_sky(scene, True)}",
@@ -64,7 +64,7 @@ def html_of(scene: "Scene") -> str:
         return table
     import cv2
 
-    colour = scene.surfaces[0].colour
+    colour = scene.main_surface.colour
     step = -(-max(colour.shape) // _PICTURE_PX)
     data = cv2.imencode(".png", np.ascontiguousarray(colour[::step, ::step, ::-1]))[1].tobytes()
     picture = f'<img alt="the terrain from above" src="data:image/png;base64,{base64.b64encode(data).decode()}">'

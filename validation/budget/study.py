@@ -12,10 +12,10 @@ from thermorender import defaults, files, formats
 from thermorender.apps.compare import machine
 from thermorender.apps.compare.sampling_error import converged
 from thermorender.render.renderer import Renderer
-from thermorender.scene.load import load_scene
 from thermorender.versions import versions
 from validation.budget import scenes
 from validation.budget.figure import figure
+from validation.drapes import load_drape
 from validation.kept_cases import kept_cases
 
 QUALITIES = ("standard", "high")
@@ -57,7 +57,7 @@ def run(folder, scene_names=defaults.SCENES, drawn=105, seed=0, qualities=QUALIT
     kept = kept_cases(path)
     views = scenes.drawn(drawn, seed)
     jobs = [
-        (load_scene(name), [(view, False) for view in map(_view, scenes.CHOSEN)]
+        (load_drape(name), [(view, False) for view in map(_view, scenes.CHOSEN)]
          + [(view, True) for view in views[number :: len(scene_names)]])
         for number, name in enumerate(scene_names)
     ]  # fmt: skip

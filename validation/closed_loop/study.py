@@ -20,8 +20,8 @@ from thermorender.apps.link.access import new_token
 from thermorender.apps.link.server import Server
 from thermorender.apps.link.stage import Stage
 from thermorender.errors import ThermorenderError
-from thermorender.paths import data_folder
 from thermorender.versions import versions
+from validation.drapes import drape
 
 MAP, METHODS, RATE_HZ, SAMPLING = "fok-1to1", ("A", "B", "C"), 15.0, {"rays": 4, "samples": 1}
 VEHICLES = ("rocket", "aircraft")
@@ -138,7 +138,7 @@ def _served(device):
     """A client, the scene with the fire, and the focal length of its camera [px]."""
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder) / "heath"
-        shutil.copytree(data_folder("scenes") / "heath", place)
+        shutil.copytree(drape("heath"), place)
         text = (place / "scene.toml").read_text(encoding="utf-8")
         fire = _OBJECT.format(side=SIDE_M, high=HIGH_M, east=PLACE[0], north=PLACE[1], up=HIGH_M / 2.0, kelvin=KELVIN)
         (place / "scene.toml").write_text(text + fire, encoding="utf-8")

@@ -17,6 +17,7 @@ from thermorender.apps.compare import machine
 from thermorender.versions import versions
 from validation.cluster.figure import figure
 from validation.cluster.simulation import Costs, simulate
+from validation.drapes import load_drape
 
 HEADER = (
     "workers", "wall [s]", "cores [s]", "loading [s]", "warm-up [s]", "frames [s]", "moving [s]", "blocks",
@@ -36,7 +37,7 @@ def setting():
     import thermorender as tr
     from thermorender.output.flight import FlightOptions
 
-    scene = tr.load_scene("heath")
+    scene = load_drape("heath")
     renderer = tr.Renderer(scene, rays=16, quality="fast", seed=1)
     ends = np.array([0.0, (FRAMES - 1) / RATE_HZ])
     heights = float(scene.ground(0.0, 0.0)) + 60.0

@@ -12,6 +12,7 @@ from thermorender import defaults
 from thermorender.cli.terminal import Time, at_time
 from validation.command import Device, Out, continued_results, run_command
 from validation.convergence import study
+from validation.drapes import drape
 
 
 def main(
@@ -24,7 +25,7 @@ def main(
 ):
     """Error against run time of this renderer and of stock Mitsuba, with a path-traced reference."""
     with continued_results(output) as report:
-        loaded = [at_time(name, time) for name in scenes or defaults.SCENES]
+        loaded = [at_time(str(drape(name)), time) for name in scenes or defaults.SCENES]
         study.convergence(loaded, output, report, "quick" if quick else "full", overwrite, device)
     typer.echo(f"table, numbers and figures in {output}")
 

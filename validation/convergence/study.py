@@ -31,10 +31,10 @@ from thermorender.render import reference
 from thermorender.render.quality import QUALITIES
 from thermorender.render.renderer import Renderer
 from thermorender.render.variant import activate, switch
-from thermorender.scene.load import load_scene
 from thermorender.versions import versions
 from validation import cavity
 from validation.convergence import figure as convergence_report
+from validation.drapes import load_drape
 
 OWN, DEFAULT = "thermorender", "standard"
 # Paths with two reflections, as in the reference; "direct" has one.
@@ -151,7 +151,7 @@ def convergence(scenes=defaults.SCENES, folder="validation", progress=None, mode
     # Converted by JSON, so that it equals the settings read back.
     settings = json.loads(json.dumps({**asdict(mode), "device": device}))
     kept = {} if overwrite else _read(path, settings)
-    sites = [Site(scene if not isinstance(scene, str) else load_scene(scene), mode, device) for scene in scenes]
+    sites = [Site(scene if not isinstance(scene, str) else load_drape(scene), mode, device) for scene in scenes]
     jobs = [(site, case) for site in sites for case in _cases(site, mode)]
     jobs += [(None, case) for case in cavity.cases(mode.emissivities, mode.rays, device)]
     for number, (site, (name, measure)) in enumerate(jobs):

@@ -8,6 +8,7 @@ import typer
 from thermorender import defaults
 from thermorender.apps.survey.verbs import Base, Frames, Scale, parse_scale
 from validation.command import Device, Out, conclude, new_results, run_command
+from validation.drapes import KINDS
 from validation.footage import study
 
 
@@ -16,7 +17,7 @@ def main(
     output: Out = Path("out/validation/footage"),
     base: Base = defaults.CAMERA,
     scale: Scale = None,
-    scene: Annotated[str, typer.Option(help="Scene of the simulated frames.")] = defaults.SCENE,
+    scene: Annotated[str, typer.Option(help="Scene of the simulated frames.")] = KINDS[0],
     name: Annotated[str, typer.Option(help="Name of the files to write.")] = "footage",
     device: Device = "auto",
 ):

@@ -25,6 +25,7 @@ from thermorender.sensor.camera import load_camera
 from thermorender.sensor.chain import Sensor
 from thermorender.sensor.optics import relative_illumination
 from thermorender.sensor.readout import radiance_from_counts
+from validation.drapes import KINDS, load_drape
 from validation.footage.figure import figure
 
 HEADER = ("frames", "pixel [mK]", "row", "column", "fixed pixel", "fixed row", "fixed column")
@@ -35,7 +36,7 @@ _FRAMES, _HEIGHT_M, _AWAY_M = 12, 200.0, 60.0
 _RINGS = 6
 
 
-def compare(paths, output, base=defaults.CAMERA, scale=None, scene=defaults.SCENE, name="footage", seed=0,
+def compare(paths, output, base=defaults.CAMERA, scale=None, scene=KINDS[0], name="footage", seed=0,
             progress=None, **options):  # fmt: skip
     """Write `name`.json, `name`.png and `name`.toml of a camera's footage and its simulations; return the JSON result.
 
@@ -90,10 +91,9 @@ def rows(result):
 def views_of(scene, camera, seed, report, options):
     """Return band radiance of views straight down at positions and headings drawn from the seed."""
     from thermorender.render.renderer import Renderer
-    from thermorender.scene.load import load_scene
     from thermorender.trajectory.path import pose
 
-    loaded = load_scene(scene).with_camera(camera)
+    loaded = load_drape(scene).with_camera(camera)
     renderer = Renderer(loaded, seed=seed, progress=report, **options)
     rng = np.random.default_rng(seed)
     views = []

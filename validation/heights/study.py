@@ -15,9 +15,9 @@ from thermorender import defaults, files, formats
 from thermorender.apps.compare import bench, machine
 from thermorender.apps.compare.sampling_error import converged, optics_sigma_px, rms_mk
 from thermorender.render.renderer import Renderer
-from thermorender.scene.load import load_scene
 from thermorender.versions import versions
 from validation.convergence.study import STOCK, Stock
+from validation.drapes import load_drape
 from validation.heights.figure import figure
 from validation.kept_cases import kept_cases
 
@@ -48,7 +48,7 @@ def run(folder, scenes=defaults.SCENES, heights=HEIGHTS_M, airs=tuple(AIRS), pro
     folder = files.make_folder(folder)
     path = folder / "heights.json"
     kept = kept_cases(path)
-    sites = [(load_scene(scene) if isinstance(scene, str) else scene, air) for scene in scenes for air in airs]
+    sites = [(load_drape(scene) if isinstance(scene, str) else scene, air) for scene in scenes for air in airs]
 
     def keep(found):
         kept.update(found)

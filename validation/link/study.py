@@ -22,6 +22,7 @@ from thermorender.render.flight.live import LiveFrames
 from thermorender.trajectory.path import Trajectory
 from thermorender.trajectory.rotations import rotation_from_wxyz, wxyz
 from thermorender.versions import versions
+from validation.drapes import drape, load_drape
 from validation.link.client import WARM_UP
 
 SCENE, MAP, RATE_HZ, PRODUCTS = "heath", "fok-1to1", 30.0, ("counts",)
@@ -59,7 +60,7 @@ def run(frames, qualities=QUALITIES, methods=METHODS, clients=4, repeats=15, pro
     report, cases, bare = progress or (lambda what, share: None), [], {}
     settings = [(quality, {"quality": quality}) for quality in qualities]
     report("bench", 0.0)
-    views = bench((SCENE,), repeats, settings=settings, device=device)["scenes"][SCENE]["settings"]
+    views = bench((load_drape(SCENE),), repeats, settings=settings, device=device)["scenes"][SCENE]["settings"]
     for number, quality in enumerate(qualities):
         report(f"{quality}: without the link", (number + 0.1) / len(qualities))
         bare[quality] = {"frame_ms": _bare(quality, frames, device),
@@ -76,7 +77,7 @@ def run(frames, qualities=QUALITIES, methods=METHODS, clients=4, repeats=15, pro
 
 def _bare(quality, frames, device):
     """Median time of a frame of the same path with its counts, in this process [ms]."""
-    renderer, way, spent = tr.Renderer(tr.load_scene(SCENE), quality, device=device), poses(WARM_UP + frames), []
+    renderer, way, spent = tr.Renderer(load_drape(SCENE), quality, device=device), poses(WARM_UP + frames), []
     live = LiveFrames(renderer, RATE_HZ)
     for k, row in enumerate(way):
         start = time.perf_counter()
@@ -88,8 +89,8 @@ def _bare(quality, frames, device):
 @contextmanager
 def _server(quality, device):
     """The port of a server."""
-    command = [sys.executable, "-m", "thermorender", "serve", SCENE, "--port", "0", "--map", MAP, "--quality", quality,
-               "--device", device]  # fmt: skip
+    command = [sys.executable, "-m", "thermorender", "serve", str(drape(SCENE)), "--port", "0", "--map", MAP,
+               "--quality", quality, "--device", device]  # fmt: skip
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         line = process.stdout.readline()

@@ -12,14 +12,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from thermorender import defaults, files, formats
+from thermorender import files, formats
 from thermorender.apps.compare.bench import views
 from thermorender.apps.compare.machine import machine
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render.renderer import Renderer
-from thermorender.scene.load import load_scene
 from thermorender.scene.scene import Scene
 from thermorender.sensor import exposure, psf
 from thermorender.sensor.chain import Sensor, at_rest, in_sequence
@@ -29,6 +28,7 @@ from thermorender.sensor.readout import radiance_from_counts
 from thermorender.sensor.schedule import MEMORY
 from thermorender.trajectory.path import pose
 from thermorender.versions import versions
+from validation.drapes import KINDS, load_drape
 from validation.sensor.figure import figure, pictures, table
 
 # Speed [m/s], roll about the optical axis [deg/s], height [m], pitch [deg].
@@ -54,7 +54,7 @@ TARGETS_PX, TARGET_K, DRAWN, PLACES = (0.5, 1.0, 1.5, 2.0, 3.0), 30.0, 16, 4
 SMOOTH_K = 1.0
 
 
-def sensor(folder, scene=defaults.SCENE, flights=tuple(FLIGHTS), device="auto", progress=None):
+def sensor(folder, scene=KINDS[0], flights=tuple(FLIGHTS), device="auto", progress=None):
     """Measure the sensor model, write `sensor.json`, `sensor.md` and figures to a folder, and return the result.
 
     Parameters
@@ -83,7 +83,7 @@ def sensor(folder, scene=defaults.SCENE, flights=tuple(FLIGHTS), device="auto", 
     if unknown:
         raise ThermorenderError(f"flight {unknown[0]!r} is unknown; give some of {', '.join(FLIGHTS)}")
     report = progress or (lambda step, share: None)
-    loaded = scene if isinstance(scene, Scene) else load_scene(scene)
+    loaded = scene if isinstance(scene, Scene) else load_drape(scene)
     renderer = Renderer(loaded, device=device)
     of = Sensor(loaded.camera, renderer.seed)
     lags, seen = {}, {}

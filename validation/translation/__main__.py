@@ -8,8 +8,9 @@ from typing import Annotated
 
 import typer
 
-from thermorender import defaults, formats
+from thermorender import formats
 from validation.command import Out, conclude, new_results, run_command
+from validation.drapes import KINDS
 from validation.translation import study
 
 
@@ -17,7 +18,7 @@ def main(
     models: Annotated[list[str], typer.Argument(help="Learned maps: names, or .npz files.")],
     dataset: Annotated[Path, typer.Option(help="Folder of a data set with a test part.")],
     output: Out = Path("out/validation/translation"),
-    scene: Annotated[str, typer.Option(help="Scene whose orthophoto is translated, too.")] = defaults.SCENE,
+    scene: Annotated[str, typer.Option(help="Scene whose orthophoto is translated, too.")] = KINDS[0],
     pictures: Annotated[int, typer.Option(help="Pictures of the test part to translate.", min=1)] = 6,
 ):
     """Time and memory of translating a picture with each learned map, and the steps at its tiles' borders."""

@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from thermorender import defaults
 from thermorender.apps.compare.machine import apart, forget_peak_memory, machine, peak_memory_mib
 from thermorender.apps.training.dataset import read_dataset
 from thermorender.apps.training.map_inputs import inputs_of
@@ -20,8 +19,8 @@ from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
 from thermorender.learned.networks.recipes import RECIPES
 from thermorender.learned.temperature_map import Inputs, load_model
-from thermorender.scene.load import load_scene
 from thermorender.versions import versions
+from validation.drapes import KINDS, load_drape
 
 HEADER = ("map", "load [s]", "640×512 [s]", "peak [MiB]", "picture", "squares [K]", "elsewhere [K]",
           "as published [K]", "elsewhere [K]", "as applied [K]", "elsewhere [K]")  # fmt: skip
@@ -31,7 +30,7 @@ SIZE = (512, 640)
 _TURNS = 5
 
 
-def run(models, dataset, scene=defaults.SCENE, pictures=6, progress=None):
+def run(models, dataset, scene=KINDS[0], pictures=6, progress=None):
     """Return the cost of learned maps and the steps at the borders of their tiles, as plain numbers.
 
     Parameters
@@ -85,7 +84,7 @@ def _measure(name, folder, scene, pictures):
         seconds.append(time.perf_counter() - began)
     peak, seams = peak_memory_mib(), {"pictures": _seams(model, shown)}
     if scene is not None and not model.needs:
-        ground = load_scene(scene).surfaces[0]
+        ground = load_drape(scene).surfaces[0]
         seams[str(scene)] = _seams(model, [Inputs(ground.colour, ground.texel_m)])
     return {"load_s": loaded, "translate_s": float(np.median(seconds[1:])), "peak_mib": peak, "seams": seams}
 

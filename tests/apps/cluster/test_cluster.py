@@ -117,7 +117,7 @@ def test_blocks_begin_at_multiples_of_their_length():
     (("--cluster", "here"), "cluster='here' is not allowed"),
 ])  # fmt: skip
 def test_contradicting_options_are_refused(call, tmp_path, arguments, wrong):
-    status, _, errors = call("fly", "heath", "-o", tmp_path / "f", *arguments)
+    status, _, errors = call("fly", "heath/survey", "-o", tmp_path / "f", *arguments)
     assert status == 2 and wrong in errors
 
 

@@ -40,7 +40,7 @@ def test_only_the_method_with_true_objects_knows_their_temperatures(tmp_path):
 
 @pytest.mark.slow
 def test_learned_materials_do_not_change_objects():
-    scene = tr.load_scene("heath")
+    scene = tr.load_scene("heath/survey")
     reported = scene.with_learned_materials(methods.learned_materials())
     for before, after in zip(scene.surfaces[1:], reported.surfaces[1:], strict=True):
         assert [scene.materials[k].name for k in np.unique(before.material)] == [

@@ -24,7 +24,7 @@ from thermorender.sensor.camera import load_camera
 @pytest.fixture(scope="module")
 def scene():
     full = load_camera("zenmuse-xt2")
-    return tr.load_scene("heath").with_camera(
+    return tr.load_scene("heath/survey").with_camera(
         replace(full, width=80, height=64, pixel_pitch_um=8 * full.pixel_pitch_um)
     )
 

@@ -44,7 +44,7 @@ WGS84 = (
 
 @pytest.fixture(scope="module")
 def scene():
-    return tr.load_scene("heath")
+    return tr.load_scene("heath/survey")
 
 
 def written(path, text):

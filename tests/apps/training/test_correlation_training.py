@@ -34,7 +34,7 @@ def described_by(map_, rgb, valid=None):
 def orthophoto(request):
     """(rgb, valid) of an orthophoto: a procedural one, and one from drone photographs."""
     if request.param == "shipped":
-        return read_colour(data_folder("scenes") / "village" / "orthophoto.tif")
+        return read_colour(data_folder("scenes") / "village" / "survey" / "orthophoto.tif")
     return read_colour(shared_data("terrain/odm_toufeng/orthophoto_0.2m.tif"))
 
 

@@ -350,7 +350,7 @@ class Fitting:
         """Return the pixels that show a single material, (H, W): colours are interpolated between texels."""
         import cv2
 
-        texel_m = self._scene.surfaces[0].texel_m or 0.0
+        texel_m = self._scene.main_surface.texel_m or 0.0
         reach = int(np.clip(np.ceil(texel_m / view.texel_m if view.texel_m else 1.0), 1, _MOST_REACH_PX))
         sides = np.ones((2 * reach + 1,) * 2, np.uint8)
         found: NDArray[np.bool_] = cv2.erode(view.material, sides) == cv2.dilate(view.material, sides)

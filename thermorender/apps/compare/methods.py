@@ -413,7 +413,7 @@ def object_temperatures(scene: Scene, model: TemperatureMap, reference: Renderer
         at = _texel_of(scene, item)
         terrain = {name: np.full(patch.shape[:2], planes[name].flat[at], np.float32) for name in NAMES if planes}
         material = np.full(patch.shape[:2], surface.material.flat[0])
-        inputs = Inputs(patch, scene.surfaces[0].texel_m, terrain, weather)
+        inputs = Inputs(patch, scene.main_surface.texel_m, terrain, weather)
         stand_in = weather["air_k"] if weather else None
         kelvin, *_ = kinetic_from_map(model, inputs, material, scene.materials, sky, stand_in)
         found[item.name] = float(kelvin[EVEN_PX // 2, EVEN_PX // 2])
@@ -422,7 +422,7 @@ def object_temperatures(scene: Scene, model: TemperatureMap, reference: Renderer
 
 def _texel_of(scene: Scene, item: Any) -> int:
     """Return the flat number of the terrain texel nearest to an object's position."""
-    first = scene.surfaces[0]
+    first = scene.main_surface
     rows, columns = first.material.shape
     low, high = first.vertices.min(axis=0), first.vertices.max(axis=0)
     share = (np.array(item.position[:2]) - low[:2]) / np.maximum(high[:2] - low[:2], 1e-9)

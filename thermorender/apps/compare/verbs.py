@@ -170,7 +170,7 @@ def evaluate(
 
 
 def demo(output: Results = Path("out/demo"), device: Device = "auto") -> None:
-    """Run the main job on the shipped heath: a flight towards the heated marker, and the comparison."""
+    """Run the main job on the shipped village: a flight along its street, and the comparison of two learned maps."""
     from thermorender.cli.render import fly
 
     if (output / "flight" / "flight.json").exists():

@@ -150,7 +150,7 @@ def prospect(renderer: "Renderer", trajectory: Trajectory, times_s: Floats, rate
         above_ground_m=position[:, 2] - np.asarray(scene.ground(position[:, 0], position[:, 1]), np.float64),
         outline=_outermost(point[:, 1:, :2]), shows_terrain=shows,
         pixel_m=_over(np.median, depth) / camera.focal_length_px,
-        motion_px=_motion(trajectory, camera, time_s, point), texel_m=scene.surfaces[0].texel_m,
+        motion_px=_motion(trajectory, camera, time_s, point), texel_m=scene.main_surface.texel_m,
         time_constant_s=camera.time_constant_s,
         length_m=float(np.linalg.norm(np.diff(position[:, :2], axis=0), axis=1).sum()),
         backs=_backs(scene, world.reshape(-1, 3), face),

@@ -43,7 +43,7 @@ def run(inputs: Inputs, folder: Path, progress: Progress | None = None) -> dict[
         camera, said = lens.applied(camera)
         survey = replace(survey, notes=(*survey.notes, said))
     references = read_references(inputs.references) if inputs.references else []
-    texel_m = scene.surfaces[0].texel_m if inputs.texel_m is None else inputs.texel_m
+    texel_m = scene.main_surface.texel_m if inputs.texel_m is None else inputs.texel_m
     settings = Settings(texel_m=texel_m, pose_error=PoseError(*inputs.pose_error))
     with files.output_folder(folder) as out, files.in_use(out):
         files.remove_parts(out)
