@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rasterio
 
 import thermorender as tr
 from thermorender.apps.lands.procedural import three_d
@@ -19,6 +18,7 @@ from thermorender.physics.srgb import linear_from_bytes
 from thermorender.render.geometry import Geometry
 from thermorender.render.variant import activate
 from thermorender.scene.ground import Ground
+from thermorender.scene.raster import read_band
 from thermorender.scene.surface import Surface
 
 SCENES = Path(__file__).parents[3] / "scenes"
@@ -284,19 +284,11 @@ def test_cars_follow_the_weather(tmp_path, bare):
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_shipped_survey_shows_the_shipped_world(kind):
     """Where nothing stands, a survey's texel has the ground's material and temperature."""
-    found = {}
-    for name in ("kelvin", "classes"):
-        with rasterio.open(SCENES / kind / "survey" / {"kelvin": "temperature.tif"}.get(name, f"{name}.tif")) as file:
-            found[name] = file.read(1) * file.scales[0] + file.offsets[0]
-        # Of the ground, whose texture is on the survey's extent, but for the turn of the grid.
-        path = next((SCENES / kind).glob(f"ground_{name}.*"))
-        with rasterio.open(path) as file:
-            found[f"ground {name}"] = file.read(1) * file.scales[0] + file.offsets[0]
-    side = min(len(each) for each in found.values())
-    one, other, material, ground = (
-        each[(np.arange(side) + 0.5).astype(int) * len(each) // side][:, np.arange(side) * len(each) // side]
-        for each in (found["kelvin"], found["ground kelvin"], found["classes"], found["ground classes"])
-    )
+    # The ground's texture is on the survey's extent, but for the turn of the grid.
+    names = ("survey/temperature.tif", "ground_kelvin.tif", "survey/classes.tif", "ground_classes.png")
+    found = [read_band(SCENES / kind / name) for name in names]
+    side = min(map(len, found))
+    one, other, material, ground = (each[np.ix_(*2 * [np.arange(side) * len(each) // side])] for each in found)
     same = material == ground
     assert same.mean() > 0.3
     assert np.median(np.abs(one - other)[same]) < 0.15
