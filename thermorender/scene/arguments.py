@@ -284,6 +284,17 @@ def _changed_weather(spec: WeatherSpec | None, keys: Mapping[str, Any], now: Dec
     return made
 
 
+def objects_under(source: str, objects: Sequence[ObjectSpec], file: "SceneSpec | None") -> tuple[ObjectSpec, ...]:
+    """Return ObjectSpecs with the key `solved` as a heat balance of the terrain solves them, else at the kelvin of the
+    scene's file.
+    """
+    known = {} if file is None else {item.name: item.temperature for item in file.objects}
+    return tuple(
+        replace(item, temperature=None if source == BALANCE else known.get(item.name)) if item.solved else item
+        for item in objects
+    )
+
+
 def changed_object(item: ObjectSpec, values: Mapping[str, Any]) -> ObjectSpec:
     """Return an ObjectSpec with another inner heat, or other values of some columns of a track.
 
@@ -300,7 +311,7 @@ def changed_object(item: ObjectSpec, values: Mapping[str, Any]) -> ObjectSpec:
             found["temperature"] = None
         elif column == "temperature_k":
             found["temperature"] = scene_kelvin(what, number_of(what, with_unit(value), f" of kelvin, or {BALANCE!r}"))
-            found.setdefault(_INNER, 0.0)
+            found |= {"solved": False, _INNER: found.get(_INNER, 0.0)}
         elif column in ("yaw_deg", _INNER):
             found[column] = number_of(what, value)
         else:

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterable
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Literal
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.paths import data_folder
+from thermorender.scene.arguments import objects_under
 from thermorender.scene.declared import Declared
 from thermorender.scene.folder import read_files
 from thermorender.scene.scene import Scene
@@ -58,7 +60,7 @@ def load_scene(name: str | PathLike[str]) -> Scene:
     where = str(spec.folder / "scene.toml")
     camera = load_camera(spec.camera, f"{where}: camera.model")
     declared = Declared(
-        spec,
+        replace(spec, objects=objects_under(spec.temperature.source, spec.objects, spec)),
         camera,
         files=read_files(spec, where),
         time=spec.weather.time if spec.weather else None,

@@ -29,6 +29,7 @@ from thermorender.scene.arguments import (
     kelvin_argument,
     material_of,
     number_of,
+    objects_under,
     refuse_other,
     surface_temperatures,
     surfaces_argument,
@@ -504,7 +505,8 @@ class Scene:
         source: "TemperatureSpec | Number | str | PathLike[str] | TemperatureMap | Mapping[str, Any]",
         model: TemperatureMap | None = None, kelvin: Sequence[ArrayLike] | None = None,
     ) -> "Scene":  # fmt: skip
-        """Return this scene with its terrain's temperatures from another source.
+        """Return this scene with its terrain's temperatures from another source. Objects whose temperatures the file
+        calls `solved` follow a heat balance, and have the file's kelvin under any other source.
 
         Parameters
         ----------
@@ -532,10 +534,12 @@ class Scene:
         else:
             spec = temperature_spec(source, self._declared.spec.folder, kelvin is not None or model is not None)
         ground = self.surfaces[: self.terrain_count]
-        surfaces = tuple(replace(one, temperature=None) for one in self._declared.spec.surfaces)
+        now = self._declared
+        surfaces = tuple(replace(one, temperature=None) for one in now.spec.surfaces)
+        objects = objects_under(spec.source, now.spec.objects, now.of_file)
         given = None if kelvin is None else kelvin_argument("with_temperature: kelvin", kelvin, ground, True)
         return self._edited(replace(
-            self._declared, spec=replace(self._declared.spec, temperature=spec, surfaces=surfaces), given=False,
+            now, spec=replace(now.spec, temperature=spec, surfaces=surfaces, objects=objects), given=False,
             temperature_map=learned_map(spec) if model is None else model, given_kelvin=given,
         ))  # fmt: skip
 

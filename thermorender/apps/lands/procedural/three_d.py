@@ -308,12 +308,11 @@ def _seen_k(scene: Scene) -> dict[str, float]:
 
 
 def _solved(objects: Sequence[dict[str, Any]], kelvin: dict[str, float]) -> tuple[dict[str, Any], ...]:
-    """[[object]] tables with solved temperatures in place of what they are solved from."""
+    """[[object]] tables with solved temperatures."""
     known = []
     for item in objects:
         if item["name"] in kelvin:
-            item = {key: value for key, value in item.items() if key != "inner_heat_w"}
-            item["temperature"] = round(kelvin[item["name"]], 1)
+            item = {**item, "temperature": round(kelvin[item["name"]], 1), "solved": True}
         known.append(item)
     return tuple(known)
 

@@ -180,6 +180,7 @@ def write_bodies(
         tables.append({
             "name": bodies.name, "shape": bodies.shape, "instances": file, "position": [0.0, 0.0, 0.0],
             "leaf_area_1_m": DENSITY, "temperature": warm, "material": bodies.material,
+            **({} if bodies.kelvin is None else {"solved": True}),
         })  # fmt: skip
     return tables
 
