@@ -138,7 +138,8 @@ class Solids:
         columns = np.column_stack([east + x, north + y, ground + np.minimum(low, top), ground + top])
         shade = tone[row, column][:, None] * np.asarray(colour, np.float64)
         self.plants.crown(columns, c.texel, DENSITY_CONIFER if conifer else DENSITY, shade, c.names[material])
-        if not shrub:
+        radius_m = 0.05 + 0.016 * height_m
+        if not shrub and 2.0 * radius_m > c.texel:
             high = ground + (0.75 if conifer else 0.55) * height_m
             bark = linear(*_BARK) * np.exp(self._draw.normal(0.0, 0.15))
-            self.plants.trunk(east, north, ground - 0.3, high, 0.05 + 0.016 * height_m, bark, c.value("bark"))
+            self.plants.trunk(east, north, ground - 0.3, high, radius_m, bark, c.value("bark"))

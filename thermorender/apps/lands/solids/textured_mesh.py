@@ -15,8 +15,8 @@ from thermorender.formats import atomic_raster, encoded_image, write_image
 
 # Name of the mesh in a scene's folder.
 MESH = "world.glb"
-# Step and base of stored temperatures [K]: rounding is 1.4 mK RMS.
-STEP_K, BASE_K = 0.005, 200.0
+# Step and base of stored temperatures [K]: rounding is 3 mK RMS.
+STEP_K, BASE_K = 0.01, 200.0
 # Quality of photographs, without loss of resolution in colour.
 _JPEG = 90
 # Faces of a primitive: 16 bits number all their corners, but for the last number, which glTF reserves.
@@ -110,7 +110,7 @@ def _unique_corners(
 
 
 def write_kelvin(path: Path, kelvin: NDArray[Any]) -> None:
-    """Write temperatures in the pixels of a texture, (h, w) [K], as a TIFF of steps of 5 mK."""
+    """Write temperatures in the pixels of a texture, (h, w) [K], as a TIFF of steps of 10 mK."""
     import warnings
 
     import rasterio
