@@ -26,6 +26,8 @@ _TEXEL_M = 0.2
 # Lower than this, a plant is a shrub, whose leaves reach the ground [m].
 _SHRUB_M = 3.0
 _BARK = (104, 88, 72)
+# Least width of a roof of which the slope is read, relative to its length.
+_FLAT = 1e-3
 
 
 class Solids:
@@ -79,8 +81,11 @@ class Solids:
         if not field.any():
             return
         height = window.view(self.canvas.ground)[field] + window.view(self.canvas.top)[field]
-        across = np.column_stack([window.u[field], window.v[field], np.ones(field.sum())])
-        slope = np.linalg.lstsq(across.astype(np.float64), height.astype(np.float64), rcond=None)[0]
+        place = np.column_stack([window.u[field], window.v[field]]).astype(np.float64)
+        middle, mean = place.mean(axis=0), float(height.mean())
+        # Large texels in one line leave the panels level across it.
+        slope = np.linalg.lstsq(place - middle, height.astype(np.float64) - mean, rcond=_FLAT)[0]
+        slope = np.append(slope, mean - slope @ middle)
         self.hide((window.rows, window.columns), field)
         at = house_shapes.Place(window.position, *centre, 0.0)
         made = house_shapes.Look(self.canvas.value, self._draw, linear(38, 46, 68), "glass")

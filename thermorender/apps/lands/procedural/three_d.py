@@ -102,9 +102,8 @@ def make_world(
 
 def _inside(bodies: Bodies, half: float) -> bool:
     """Leave out bodies beyond the ground's edge; return whether any is left."""
-    rows = np.concatenate(bodies.rows)
-    bodies.rows = [rows[(np.abs(rows[:, :2]) <= half).all(axis=1)]]
-    return bool(len(bodies.rows[0]))
+    bodies.rows = bodies.rows[(np.abs(bodies.rows[:, :2]) <= half).all(axis=1)]
+    return bool(len(bodies.rows))
 
 
 def _within(mesh: TexturedMesh, half: float) -> TexturedMesh:

@@ -4,7 +4,7 @@ What is known of a plant is columns of leaves, from a lower to an upper end, on 
 in the volume of these columns: lobes of a crown, with gaps between, or lengths of a hedge. The leaf area is kept.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -68,7 +68,7 @@ class Bodies:
 
     shape: str  # Of an object in a scene file
     material: str
-    rows: list[Floats] = field(default_factory=list)  # (n, len(_COLUMNS)) each
+    rows: Floats  # (n, len(_COLUMNS))
     kelvin: NDArray[Any] | None = None  # (n, 8) columns of KELVIN
 
     @property
@@ -113,7 +113,7 @@ class Plants:
     @cached_property
     def bodies(self) -> dict[tuple[str, str], Bodies]:
         """Bodies of all crowns and hedges, by shape and material; what is added afterwards is not in them."""
-        made: dict[tuple[str, str], Bodies] = {}
+        made: dict[tuple[str, str], list[Floats]] = {}
         lobes = self._lobes()
         parts = [("box", one, _boxes(one)) for one in self._hedges]
         parts += [("sphere", one, _ellipsoids(one, count)) for one, count in zip(self._crowns, lobes, strict=True)]
@@ -122,8 +122,13 @@ class Plants:
             own = float(np.clip(one.density * _volume(one) / sum(volume for _, volume in found), *DENSITIES))
             rows = np.array([row for row, _ in found])
             rows[:, _COLUMNS.index("leaf_area_1_m")] = own
-            made.setdefault((shape, one.material), Bodies(shape, one.material)).rows.append(rows)
-        return made
+            made.setdefault((shape, one.material), []).append(rows)
+        bodies = {}
+        for kind, several in made.items():
+            rows = np.concatenate(several)
+            rows[:, -3:] = bytes_from_linear(rows[:, -3:].astype(np.float32))
+            bodies[kind] = Bodies(*kind, rows)
+        return bodies
 
     def _lobes(self) -> list[int]:
         """Number of lobes of each crown."""
@@ -188,6 +193,8 @@ def _ellipsoids(one: _Crown, count: int) -> list[tuple[Floats, float]]:
     own = np.minimum(np.searchsorted(upto, at), len(column) - 1)
     height = column[own, 2] + (np.arange(points) * _GOLDEN % 1.0) * depth[own]
     point = np.column_stack([column[own, :2], height])
+    if count == 1:
+        return [_lobe(point, one.colour[own])]
     lobe = _nearest(point, _seeds(point, count))
     return [_lobe(point[lobe == k], one.colour[own[lobe == k]]) for k in range(count) if (lobe == k).sum() > 1]
 
@@ -229,13 +236,12 @@ def write_bodies(
     (folder / _FOLDER).mkdir(exist_ok=True)
     tables = []
     for bodies in every.values():
-        rows = np.concatenate(bodies.rows)
-        rows = rows - down_m * (np.array(_COLUMNS) == "up_m")
-        file, warm = f"{_FOLDER}/{bodies.name}.csv", temperature
+        rows = bodies.rows - down_m * (np.array(_COLUMNS) == "up_m")
+        file, warm = f"{_FOLDER}/{bodies.name}.csv.gz", temperature
         write_text(folder / file, _csv(_COLUMNS, rows, "%.2f,%.2f,%.2f,%.2f,%.2f,%.2f,%.0f,%.3f,%.0f,%.0f,%.0f"))
         if bodies.kelvin is not None:
-            warm = f"{_FOLDER}/{bodies.name}_kelvin.csv"
-            write_text(folder / warm, _csv(KELVIN, bodies.kelvin, ",".join(["%.1f"] * len(KELVIN))))
+            warm = f"{_FOLDER}/{bodies.name}_kelvin.csv.gz"
+            write_text(folder / warm, _csv(KELVIN, bodies.kelvin, ",".join(["%.2f"] * len(KELVIN))))
         tables.append({
             "name": bodies.name, "shape": bodies.shape, "instances": file, "position": [0.0, 0.0, 0.0],
             "leaf_area_1_m": DENSITY, "temperature": warm, "material": bodies.material,
@@ -308,7 +314,7 @@ def _box(
 def _row(
     base: tuple[float, float, float], size: tuple[float, float, float], axis: Floats, colour: NDArray[np.floating]
 ) -> Floats:
-    """A row of a table, without its density; `axis` (2,) is the direction of the length in the plan."""
+    """A row of a table, without its density and of linear colour; `axis` (2,) is the direction of the length in the
+    plan."""
     yaw = float(np.degrees(np.arctan2(axis[0], axis[1]))) % 360.0
-    rgb = bytes_from_linear(colour.mean(axis=0, keepdims=True).astype(np.float32))[0]
-    return np.array([*base, *size, yaw, 0.0, *rgb])
+    return np.array([*base, *size, yaw, 0.0, *colour.mean(axis=0)])
