@@ -1,6 +1,7 @@
 """Files and folders are written whole or not at all: after failures, interruptions and beside other processes."""
 
 import errno
+import gzip
 import json
 import multiprocessing
 import os
@@ -397,3 +398,16 @@ def test_stored_arrays_are_read_whole_or_not_at_all(tmp_path):
     for size in range(0, len(whole), 7):
         path.write_bytes(whole[:size])
         assert formats.read_arrays(path, 3) is None
+
+
+def test_a_text_in_a_gzip_file_comes_back_and_a_cut_one_is_refused(tmp_path):
+    path = tmp_path / "table.csv.gz"
+    formats.write_text(path, "east_m,north_m\n1,2\n")
+    assert gzip.decompress(path.read_bytes()).decode() == formats.read_text(path) == "east_m,north_m\n1,2\n"
+    first = path.read_bytes()
+    formats.write_text(path, "east_m,north_m\n1,2\n")
+    assert path.read_bytes() == first
+    for damaged in (first[:-6], first[:12] + b"\xff" + first[13:], b"east_m,north_m\n1,2\n"):
+        path.write_bytes(damaged)
+        with pytest.raises(ThermorenderError, match=r"table\.csv\.gz is not a whole gzip file .*compress it again"):
+            formats.read_text(path)

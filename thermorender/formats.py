@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import os
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -27,13 +29,15 @@ _EXIF, _GPS, _XMP = 34665, 34853, 700
 
 
 def read_text(path: PathLike, kind: str = "UTF-8", other: str | None = None) -> str:
-    """Return the text of a UTF-8 file without its byte order mark.
+    """Return the text of a UTF-8 file, or of one in a .gz file, without its byte order mark.
 
     `kind` names the file type in programs, for the message; `other` is the encoding of a file that is not UTF-8, and
     bytes that it lacks are replaced.
     """
     try:
         data = Path(path).read_bytes()
+        if Path(path).suffix == ".gz":
+            data = gzip.decompress(data)
         try:
             text = data.decode("utf-8-sig")
         except UnicodeDecodeError:
@@ -46,6 +50,8 @@ def read_text(path: PathLike, kind: str = "UTF-8", other: str | None = None) -> 
         return text
     except UnicodeDecodeError as error:
         raise ThermorenderError(f"{path} is not UTF-8 text ({error.reason}); save it as {kind}") from error
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise ThermorenderError(f"{path} is not a whole gzip file ({error}); compress it again with gzip") from error
     except OSError as error:
         raise ThermorenderError(f"{path} cannot be read ({error.strerror}); give a text file") from error
 
@@ -100,9 +106,11 @@ def _separator(text: str) -> str:
 
 
 def write_text(path: PathLike, text: str) -> None:
-    """Write a text in UTF-8; line ends stay as they are."""
+    """Write a text in UTF-8, compressed where the file's name ends in .gz; line ends stay as they are."""
+    data = text.encode()
     with atomic(path) as part:
-        part.write_bytes(text.encode())
+        # Equal texts give equal files.
+        part.write_bytes(gzip.compress(data, mtime=0) if Path(path).suffix == ".gz" else data)
 
 
 def write_json(path: PathLike, value: Any) -> None:

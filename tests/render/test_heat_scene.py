@@ -217,3 +217,33 @@ def test_dark_spots_in_vegetation_are_not_warmer(tmp_path):
                        for part in (slice(2, 14), slice(18, 30)))  # fmt: skip
     assert granite[0] > granite[1] + 2.0
     assert leaves[0] == pytest.approx(leaves[1], abs=0.05)
+
+
+def test_one_texel_stands_for_those_of_its_square_and_material():
+    """Odd sides leave squares cut at the edges. Over many squares, all of their places stand equally often."""
+    material = np.random.default_rng(3).integers(-1, 3, (11, 14)).astype(np.int16)
+    first = heat._alike(material, 2)
+    row, column = np.divmod(np.arange(material.size), 14)
+    square = 100 * (row // 2) + column // 2
+    assert (square[first] == square).all() and (material.ravel()[first] == material.ravel()).all()
+    groups = {(one, number) for one, number in zip(square, material.ravel(), strict=True)}
+    assert len(np.unique(first)) == len(groups) and (first[first] == first).all()
+    place = np.unique(heat._alike(np.zeros((8, 12), np.int16), 2))
+    assert np.bincount(2 * (place // 12 % 2) + place % 2).tolist() == [6, 6, 6, 6]
+
+
+def test_squares_of_texels_have_the_mean_temperatures_of_their_texels(tmp_path):
+    """Deviations differ from texel to texel on level ground, and only the differences within squares are lost."""
+    scene = scene_of(tmp_path / "scene", height=np.zeros((8, 8)), classes=np.repeat([[1] * 32 + [2] * 32], 64, axis=0))
+    random = np.random.default_rng(1)
+    shape = scene.surfaces[0].material.shape
+    factor = [np.exp(0.03 * random.standard_normal(shape)).astype(np.float32) for _ in range(4)]
+    fine, coarse = (
+        heat.solved(scene, [AT], deviations=Deviations(*factor), block=side)[0].surfaces[0].temperature
+        for side in (1, 2)
+    )
+    four, one = (each.reshape(shape[0] // 2, 2, shape[1] // 2, 2) for each in (fine, coarse))
+    assert np.ptp(one, axis=(1, 3)).max() == 0.0 and np.ptp(four, axis=(1, 3)).mean() > 0.3
+    apart = 1e3 * (one - four).mean(axis=(1, 3))
+    print(f"mean {apart.mean():.2f} mK, RMS {apart.std():.1f}, within squares {1e3 * np.std(one - four):.0f}")
+    assert abs(apart.mean()) < 5.0 and apart.std() < 10.0

@@ -12,7 +12,7 @@ from thermorender.render.heat.places import sun_cosine, texel_points
 from thermorender.render.light import transport_cache
 
 _RAYS = 64
-_AT_ONCE = 1 << 22
+_AT_ONCE = 1 << 20
 
 
 class Daylight(NamedTuple):

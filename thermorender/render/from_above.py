@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from thermorender.render.arrays import aligned
 from thermorender.render.geometry import Geometry
 
-_AT_ONCE = 1 << 22
+_AT_ONCE = 1 << 20
 
 
 def from_above(

@@ -68,7 +68,7 @@ def kelvin(value: Any, where: Where, allow_zero: bool = False) -> float:
 
 def kelvin_of_object(value: Any, where: Where) -> "float | Path | None":
     """Read a temperature [K], the name of a table of leaf temperatures, or None: "balance", by the heat balance."""
-    if isinstance(value, str) and value.lower().endswith(".csv"):
+    if isinstance(value, str) and value.lower().endswith((".csv", ".csv.gz")):
         return file_inside(value, where)
     return None if value == BALANCE else kelvin(value, where)
 

@@ -117,7 +117,7 @@ def test_more_trees_than_the_memory_holds_are_refused(wood, tmp_path, monkeypatc
 
 
 def test_crowns_of_many_trees_have_fewer_lobes(wood, monkeypatch):
-    monkeypatch.setattr("thermorender.apps.lands.solids.trees._MOST_LOBES", 72)
+    monkeypatch.setattr("thermorender.apps.lands.solids.plants._MOST_LOBES", 72)
     import_wood(wood[0], "few")
     many, few = (crowns_of(scene)[1] for scene in (wood[1], tr.load_scene(wood[0] / "few")))
     assert len(few) <= 72 < len(many)

@@ -5,7 +5,9 @@ import pytest
 
 import thermorender as tr
 from scenes import scene_object, write_terrain
+from thermorender.apps.lands.solids import plants as made
 from thermorender.apps.lands.solids.plants import Plants, write_bodies, write_leaf_tables
+from thermorender.formats import read_text
 from thermorender.physics.srgb import linear_from_bytes
 from thermorender.scene.crowns import COLUMNS
 
@@ -38,10 +40,8 @@ def turned(place, heading_deg):
 
 def table(plants, shape):
     """{column: (n,)} of the only bodies of a shape."""
-    from thermorender.apps.lands.solids import plants as made
-
     (bodies,) = (each for (kind, _), each in plants.bodies.items() if kind == shape)
-    return dict(zip(made._COLUMNS, np.concatenate(bodies.rows).T, strict=True))
+    return dict(zip(made._COLUMNS, bodies.rows.T, strict=True))
 
 
 def tops_and_sides(rows, count=2000):
@@ -72,10 +72,22 @@ def test_a_crown_has_the_leaf_area_of_its_columns_and_stays_within_them(radius_m
     assert np.abs(reach.max(axis=0) + reach.min(axis=0)).max() < 0.25 * radius_m
 
 
-def test_fewer_lobes_have_the_same_leaf_area():
+def test_lobes_of_a_forest_are_larger_where_they_would_be_too_many(monkeypatch):
+    """Two crowns of 113 and 14 m³, which have 16 and 3 lobes, share 8 in proportion to their volume."""
+    monkeypatch.setattr(made, "_MOST_LOBES", 8)
+    plants = Plants()
+    for radius_m, east in ((3.0, 0.0), (1.5, 20.0)):
+        column = ball(radius_m, 6.0) + [east, 0.0, 0.0, 0.0]
+        plants.crown(column, CELL_M, 1.2, np.full(3, 0.2), "broadleaf")
+    near = table(plants, "sphere")["east_m"] < 10.0
+    assert (near.sum(), (~near).sum()) == (7, 1)
+
+
+def test_fewer_lobes_have_the_same_leaf_area(monkeypatch):
     area = []
     for most in (1, 16):
-        plants = Plants(most_lobes=most)
+        monkeypatch.setattr(made, "_MOST_LOBES", most)
+        plants = Plants()
         plants.crown(ball(3.0, 6.0), CELL_M, 1.2, np.full(3, 0.2), "broadleaf")
         rows = table(plants, "sphere")
         assert len(rows["up_m"]) == most
@@ -114,14 +126,25 @@ def test_columns_without_leaves_make_no_plant():
     assert not plants.bodies and not write_bodies(None, plants.bodies)
 
 
-def test_a_trunk_has_a_texel_for_each_length():
+def test_trunks_of_a_forest_have_fewer_parts():
+    """Of 9000 trunks one length of four sides each: 36,000 parts, of 1 trunk 18."""
+    many, one = Plants(), Plants()
+    for number in range(9000):
+        many.trunk(float(number), 0.0, 0.0, 8.0, 0.2, np.full(3, 0.2), 1)
+    one.trunk(0.0, 0.0, 0.0, 8.0, 0.2, np.full(3, 0.2), 1)
+    assert [len(each.mesh("trunk").faces) for each in (many, one)] == [9000 * 4 * 2, 18 * 2]
+
+
+def test_a_trunk_has_a_texel_for_each_side_of_each_length():
     """A gap of the crown then lights a part of the trunk, not a whole side."""
     plants = Plants()
     plants.trunk(2.0, 3.0, 1.0, 8.0, 0.2, np.full(3, 0.2), 1)
     mesh = plants.mesh("trunk")
     corner = mesh.vertices[mesh.faces]
     assert np.ptp(corner[..., 2], axis=1).max() < 3.0
-    assert len(np.unique(mesh.uv.mean(axis=1), axis=0)) == len(mesh.faces) == plants.trunks
+    place, index = np.unique(mesh.uv.mean(axis=1), axis=0, return_inverse=True)
+    assert len(place) == 6 * 3 and (np.bincount(index.ravel()) == 2).all()
+    assert all(len(np.unique(mesh.faces[index.ravel() == part])) == 4 for part in range(len(place)))
     across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     # Sides of a hexagonal frustum whose radius goes from 0.2 to 0.07 m: trapezia of the two edges.
     height = np.hypot(7.0, (0.2 - 0.07) * np.cos(np.pi / 6.0))
@@ -178,7 +201,7 @@ def test_temperatures_of_leaves_come_back_from_their_table(tmp_path):
 
 def test_tables_of_leaves_and_columns_of_plants_are_those_that_a_scene_reads(tmp_path):
     folder, _ = written(tmp_path / "s", temperature=291.5)
-    header = (folder / "plants" / "conifer_crowns.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
+    header = read_text(folder / "plants" / "conifer_crowns.csv.gz").splitlines()[0].split(",")
     assert set(COLUMNS) <= set(header)
     write_leaf_tables(folder)
     assert sorted(path.stem for path in (folder / "materials" / "thermal").iterdir()) == ["broadleaf", "conifer"]

@@ -20,9 +20,9 @@ from thermorender.scene.crowns import PROJECTION, Crowns
 _POINTS = 32
 _AT_ONCE = 1 << 16
 # Interval between instants for which the sun is tested [s]; between them sunlight is linear in time.
-_STEP_S = 1800.0
+_STEP_S = 3600.0
 # Steps in a day, and days for which one day's sunlight is used: the sun's height changes by 0.4° a day at most.
-_DAY, _DAYS = 48, 2
+_DAY, _DAYS = 24, 2
 # Least variation of the share of sky within a patch.
 _LEAST = 1e-6
 

@@ -38,6 +38,7 @@ from thermorender.scene.crowns import Crowns
 from thermorender.scene.deviations import Deviations
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import fill, nearest_valid
+from thermorender.scene.textures import separate
 from thermorender.scene.weathered_ground import is_snow, parts_in_weather
 from thermorender.units import ZERO_CELSIUS_K, utc_text
 
@@ -62,11 +63,12 @@ _Parts = Sequence[tuple[tuple[Material, float], ...]]
 
 def solved(
     scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None,
-    deviations: Deviations | None = None,
+    deviations: Deviations | None = None, block: int = 1,
 ) -> list[Scene]:  # fmt: skip
     """Return the scene with the temperatures of terrain and objects that ask for it at each of some instants (UTC),
     from its heat balance. Other objects keep the temperatures of the scene file, cast shadows and radiate. `deviations`
-    make a truth that differs from the material tables. `progress` is called with (what, share done)."""
+    make a truth that differs from the material tables. Texels of one material in squares of `block` a side of a picture
+    have one temperature, of the mean deviations. `progress` is called with (what, share done)."""
     asked = sorted(set(times))
     geometry = geometry or Geometry(activate(), scene.surfaces)
     report_progress = progress or (lambda what, share: None)
@@ -77,7 +79,7 @@ def solved(
     most = max(len(parts[kind]) for kind in kinds)
     found: Any = 0.0
     share_done = 1.0 / most
-    simulation = _Simulation(scene, parts, geometry, asked, deviations)
+    simulation = _Simulation(scene, parts, geometry, asked, deviations, block)
     for number in range(most):
         of = {kind: parts[kind][min(number, len(parts[kind]) - 1)][0] for kind in kinds}
         weight = np.array([_emits(part, number) for part in parts])
@@ -129,7 +131,7 @@ class _Simulation:
 
     def __init__(
         self, scene: Scene, parts: _Parts, geometry: Geometry, asked: "list[np.datetime64]",
-        deviations: Deviations | None,
+        deviations: Deviations | None, block: int,
     ) -> None:  # fmt: skip
         self.scene, self.parts, self.geometry, self.mi, self.asked = scene, parts, geometry, geometry.mi, asked
         assert scene.spec.weather is not None
@@ -154,6 +156,7 @@ class _Simulation:
         for part in np.split(self.shown, geometry.texel_start[1 : scene.solved_count]):
             part |= not part.any()
         self.reflects = self._brightness() * (1.0 if self.deviations is None else self.deviations[0])
+        self.first = self._firsts(block)
         self.start = max(asked[0] - np.timedelta64(int(_BEFORE_S), "s"), self.weather.time[0])
         # Change of the ground over the last day of settling [K], the largest of all runs.
         self.settled_k = 0.0
@@ -220,7 +223,8 @@ class _Simulation:
         self.state, change = open_ground.settled(self.columns, weather, self.start, self.inside_k)
         self.settled_k = max(self.settled_k, change)
         found = np.zeros((len(self.asked), self.texels), dtype=np.float32)
-        every = np.flatnonzero(wanted)
+        own = np.flatnonzero(wanted)
+        every = own[self.first[own] == own]
         blocks = [every[first : first + _AT_ONCE] for first in range(0, len(every), _AT_ONCE)]
         for number, texels in enumerate(blocks):
 
@@ -231,7 +235,32 @@ class _Simulation:
                 found[index, texels] = kelvin[self.faces :]
                 if self.copies is not None:
                     self.copies.take_means(index, found[index], texels, self.covers[texels], kelvin)
+        found[:, own] = found[:, self.first[own]]
         return found
+
+    def _firsts(self, block: int) -> NDArray[np.integer]:
+        """Number of the texel whose column each texel has, (T,): its own, or that of one texel of its square and
+        material, which then has the mean deviations of those texels."""
+        number = np.arange(self.texels)
+        if block == 1:
+            return number
+        for surface, start in zip(
+            self.scene.surfaces[: self.scene.terrain_count], self.geometry.texel_start, strict=False
+        ):
+            if separate(surface):
+                continue
+            part = slice(start, start + surface.material.size)
+            shape = surface.material.shape
+            number[part] = start + _alike(
+                np.where(self.shown[part].reshape(shape), surface.material, np.int16(-1)), block
+            )
+        count = np.maximum(np.bincount(number, minlength=self.texels), 1)
+        mean = lambda values: (np.bincount(number, values, self.texels) / count)[number]  # noqa: E731
+        self.reflects[:] = mean(self.reflects)
+        # Temperatures are nearly linear in the logarithm of the other factors.
+        for values in () if self.deviations is None else self.deviations[1:]:
+            values[:] = np.exp(mean(np.log(values)))
+        return number
 
     def covered(self, found: NDArray[Any]) -> NDArray[Any]:
         """Return temperatures of all texels, (n, T) [K]; those without a face, which only blend, take the nearest's."""
@@ -463,6 +492,31 @@ class _Light:
     reflected: Any
     # Long-wave radiation of the surroundings [W m⁻²].
     surroundings: Any
+
+
+def _alike(material: NDArray[np.integer], block: int) -> NDArray[np.int64]:
+    """Flat number of the texel that stands for each, (h w,): one with its number in its square of `block` a side.
+
+    Which one differs from square to square, so that shadows are not moved in one direction.
+    """
+    number = np.arange(material.size).reshape(material.shape)
+    found = number.copy()
+    places = [divmod(place, block) for place in range(block**2)]
+    for turn in range(len(places)):
+        row, column = (block * each for each in places[turn])
+        order = places[turn:] + places[:turn]
+        # A later place stands for none for which an earlier one does.
+        for early in reversed(range(len(order))):
+            for late in range(early + 1, len(order)):
+                (a, b), (c, d) = (
+                    (slice(row + r, None, block**2), slice(column + k, None, block**2))
+                    for r, k in (order[early], order[late])
+                )
+                rows, columns = np.minimum(material[a, b].shape, material[c, d].shape)
+                one, other = material[a, b][:rows, :columns], material[c, d][:rows, :columns]
+                stands = number[a, b][:rows, :columns]
+                np.copyto(found[c, d][:rows, :columns], stands, where=one == other)
+    return found.reshape(-1)
 
 
 def _both_sides(geometry: Geometry) -> Any:

@@ -26,6 +26,8 @@ _TEXEL_M = 0.2
 # Lower than this, a plant is a shrub, whose leaves reach the ground [m].
 _SHRUB_M = 3.0
 _BARK = (104, 88, 72)
+# Least width of a roof of which the slope is read, relative to its length.
+_FLAT = 1e-3
 
 
 class Solids:
@@ -79,8 +81,11 @@ class Solids:
         if not field.any():
             return
         height = window.view(self.canvas.ground)[field] + window.view(self.canvas.top)[field]
-        across = np.column_stack([window.u[field], window.v[field], np.ones(field.sum())])
-        slope = np.linalg.lstsq(across.astype(np.float64), height.astype(np.float64), rcond=None)[0]
+        place = np.column_stack([window.u[field], window.v[field]]).astype(np.float64)
+        middle, mean = place.mean(axis=0), float(height.mean())
+        # Large texels in one line leave the panels level across it.
+        slope = np.linalg.lstsq(place - middle, height.astype(np.float64) - mean, rcond=_FLAT)[0]
+        slope = np.append(slope, mean - slope @ middle)
         self.hide((window.rows, window.columns), field)
         at = house_shapes.Place(window.position, *centre, 0.0)
         made = house_shapes.Look(self.canvas.value, self._draw, linear(38, 46, 68), "glass")
@@ -138,7 +143,8 @@ class Solids:
         columns = np.column_stack([east + x, north + y, ground + np.minimum(low, top), ground + top])
         shade = tone[row, column][:, None] * np.asarray(colour, np.float64)
         self.plants.crown(columns, c.texel, DENSITY_CONIFER if conifer else DENSITY, shade, c.names[material])
-        if not shrub:
+        radius_m = 0.05 + 0.016 * height_m
+        if not shrub and 2.0 * radius_m > c.texel:
             high = ground + (0.75 if conifer else 0.55) * height_m
             bark = linear(*_BARK) * np.exp(self._draw.normal(0.0, 0.15))
-            self.plants.trunk(east, north, ground - 0.3, high, 0.05 + 0.016 * height_m, bark, c.value("bark"))
+            self.plants.trunk(east, north, ground - 0.3, high, radius_m, bark, c.value("bark"))

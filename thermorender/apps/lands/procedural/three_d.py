@@ -48,8 +48,11 @@ _LOOKS = ((0.0, 0.0), (-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)
 GROUND, BUILDINGS, TRUNKS = "ground", "buildings", "trunks"
 # Points of a side between which map positions are interpolated.
 _LATTICE = 33
-# Least distance of the ground's posts [m]: walls and crowns are not in it, so that it is smooth.
-_POST_M = 1.0
+# Distance of the ground's posts in those of the survey, and its least [m]: walls and crowns are not in the ground, so
+# that it is smooth.
+_POSTS, _POST_M = 2.0, 2.0
+# Side of the blocks of texels whose temperatures are solved together [texels].
+_BLOCK = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +82,7 @@ def make_world(
     canvas, solids = made.canvas, made.canvas.solids
     assert solids is not None
     normal = np.stack(normals(canvas.surface + canvas.relief, made.texel, steepest=1.3))
-    ground, post = _ground(canvas, max(_POST_M, made.post))
+    ground, post = _ground(canvas, max(_POST_M, _POSTS * made.post))
     far = Surroundings(canvas, post, KINDS[kind].reach_m, float(canvas.surface.max()) + KINDS[kind].heights_m[1])
     KINDS[kind].around(far)
     meshes = [ground]
@@ -99,9 +102,8 @@ def make_world(
 
 def _inside(bodies: Bodies, half: float) -> bool:
     """Leave out bodies beyond the ground's edge; return whether any is left."""
-    rows = np.concatenate(bodies.rows)
-    bodies.rows = [rows[(np.abs(rows[:, :2]) <= half).all(axis=1)]]
-    return bool(len(bodies.rows[0]))
+    bodies.rows = bodies.rows[(np.abs(bodies.rows[:, :2]) <= half).all(axis=1)]
+    return bool(len(bodies.rows))
 
 
 def _within(mesh: TexturedMesh, half: float) -> TexturedMesh:
@@ -272,7 +274,7 @@ def _true_kelvin(
         objects = [np.ones(each.material.size, np.float32) for each in bodies]
         fields[name] = np.concatenate([_by_surface(loaded, own), *objects])
     fields["exchange"] = np.float32(exchange) * fields["exchange"]
-    found = solved(true, [loaded.time], geometry, progress, Deviations(**fields))[0]
+    found = solved(true, [loaded.time], geometry, progress, Deviations(**fields), _BLOCK)[0]
     kelvin = np.concatenate([surface.temperature.ravel() for surface in found.surfaces[: found.terrain_count]])
     leaves = {}
     for surface in found.surfaces:
@@ -371,6 +373,8 @@ def write_survey(
         orthophoto=np.clip(picture + 0.5, 0, 255).astype(np.uint8),
     )  # fmt: skip
     write_declared(seen, folder)
-    write_temperature(seen, folder, (warm / count).reshape(shape), 1)
+    # As the truth in three dimensions.
+    every = _BLOCK if grid.width % _BLOCK == 0 else 1
+    write_temperature(seen, folder, (warm / count).reshape(shape), every)
     # By default the frame has the median height of the raster, which the world's frame has not.
     write_text(folder / "scene.toml", scene_toml(seen, other={"frame": _place(frame)}))

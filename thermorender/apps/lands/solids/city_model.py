@@ -33,7 +33,7 @@ INFERRED = (WALLS, TRUNKS)
 BARK = "bark"
 # Material of roofs where no orthophoto says more.
 ROOF = "roof_tile_clay"
-_TEXEL_M, _EDGE_M, _BELOW_M = 0.3, 2.0, 0.5
+_TEXEL_M, _BELOW_M = 0.3, 0.5
 # Largest distance of posts in which roofs differ from crowns [m].
 _FINE_M = 1.2
 # Lower steps between roofs of adjoining buildings have no wall [m].
@@ -141,7 +141,7 @@ def city_model(
     high = [each for each in outlines if _stands(each, height, bare, post_m)]
     flat = len(outlines) - len(high)
     high, level = cut_at_steps(high, height, bare, post_m)
-    roofs, quads, built = _Roofs(grid, texels), Quads(_TEXEL_M, _EDGE_M), {}
+    roofs, quads, built = _Roofs(grid, texels), Quads(_TEXEL_M), {}
     for index, loops in enumerate(borders(high, height.shape, post_m)):
         if loops:
             built[index] = _raised(loops, level, bare, at, roofs, post_m)

@@ -18,7 +18,7 @@ class Quads:
     constant over one.
     """
 
-    def __init__(self, texel_m: float, edge_m: float = 1.0) -> None:
+    def __init__(self, texel_m: float, edge_m: float = 2.0) -> None:
         self.texel_m, self.edge_m = texel_m, edge_m
         self._corners: list[NDArray[np.float64]] = []
         self._colour: list[NDArray[np.uint8]] = []

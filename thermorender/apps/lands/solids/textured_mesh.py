@@ -15,10 +15,10 @@ from thermorender.formats import atomic_raster, encoded_image, write_image
 
 # Name of the mesh in a scene's folder.
 MESH = "world.glb"
-# Step and base of stored temperatures [K]: rounding is 1.4 mK RMS.
-STEP_K, BASE_K = 0.005, 200.0
+# Step and base of stored temperatures [K]: rounding is 6 mK RMS.
+STEP_K, BASE_K = 0.02, 200.0
 # Quality of photographs, without loss of resolution in colour.
-_JPEG = 90
+_JPEG = 86
 # Faces of a primitive: 16 bits number all their corners, but for the last number, which glTF reserves.
 _FACES = 65535 // 3
 # glTF 2.0, sections 3.6.2, 4.4 and 5.1: component types, targets, and the chunks of a GLB.
@@ -110,7 +110,7 @@ def _unique_corners(
 
 
 def write_kelvin(path: Path, kelvin: NDArray[Any]) -> None:
-    """Write temperatures in the pixels of a texture, (h, w) [K], as a TIFF of steps of 5 mK."""
+    """Write temperatures in the pixels of a texture, (h, w) [K], as a TIFF of steps of 20 mK."""
     import warnings
 
     import rasterio
@@ -122,7 +122,7 @@ def write_kelvin(path: Path, kelvin: NDArray[Any]) -> None:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         with atomic_raster(path) as part, rasterio.open(
             part, "w", driver="GTiff", count=1, dtype=counts.dtype, height=counts.shape[0], width=counts.shape[1],
-            compress="zstd", zstd_level=15, predictor=2, tiled=True,
+            compress="zstd", zstd_level=12, predictor=2, tiled=True,
             blockxsize=-(-counts.shape[1] // 16) * 16, blockysize=-(-counts.shape[0] // 16) * 16,
         ) as file:  # fmt: skip
             file.write(counts[None])

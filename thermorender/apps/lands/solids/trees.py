@@ -16,8 +16,6 @@ LEAVES = "broadleaf"
 _BARK_COLOUR = (104, 88, 72)
 # How far trunks go into the ground [m].
 _SUNK_M = 0.3
-# Most lobes of all crowns together: their light fits into an ordinary machine's memory.
-_MOST_LOBES = 100_000
 
 Floats = NDArray[np.float64]
 
@@ -34,7 +32,7 @@ def plants_of(
             f"the surface model has {len(trees)} trees, more than the {MOST_COPIES} whose light fits into an ordinary "
             "machine's memory; give a smaller area"
         )
-    plants = Plants(most_lobes=max(1, _MOST_LOBES // max(len(trees), 1)))
+    plants = Plants()
     for tree in trees:
         row, column = tree.posts.T
         low, top = _columns(tree, height, bare, post_m)
