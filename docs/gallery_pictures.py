@@ -99,7 +99,9 @@ def metal():
 
 def rain():
     """An afternoon of rain."""
-    scene = tr.load_scene("village").with_temperature("balance").with_weather(cloud=1.0, air_low_c=11.0, air_high_c=14.0)
+    scene = (
+        tr.load_scene("village").with_temperature("balance").with_weather(cloud=1.0, air_low_c=11.0, air_high_c=14.0)
+    )
     wet = scene.weather
     rain = np.where((wet.time > np.datetime64(f"{DAY}T06:00")), 2.0, 0.0)
     one("rain", tr.Renderer(scene.with_weather(replace(wet, rain_mm_h=rain))).frame(

@@ -9,6 +9,7 @@ from thermorender import formats
 from thermorender.cli.terminal import table
 from validation.command import Device, Out, conclude, new_results, run_command, seeds_of
 from validation.three_d import imported, study
+from validation.three_d import views as whole
 
 
 def main(
@@ -23,10 +24,12 @@ def main(
         numbers = seeds_of(seeds)
         result = study.run(numbers, views, size_m, progress=report, device=device)
         result["imported"] = imported.run(numbers[0], views, size_m, device)
+        result["whole"] = whole.run(progress=report, device=device)
         formats.write_json(folder / "three_d.json", result)
     conclude("three_d", output, study.HEADER, study.rows(result), "numbers")
     for name, seen in (("budget", result["budget"]), ("budget, imported", result["imported"]["views"])):
         table((name, *study.BUDGET_HEADER), [(name, *row) for row in study.budget_rows(seen)])
+    table(whole.HEADER, whole.rows(result["whole"]))
     table(("map", *(f"{world} [K]" for world in study.WORLDS)), study.ranking_rows(result))
 
 
