@@ -130,7 +130,7 @@ BALANCE = tuple(
     for name in ("render.heat.simulation", "scene.open_ground", "physics.balance", "weather.station")
 )
 MOVED = ("thermorender.render.heat.moved", "thermorender.materials.shifted", "thermorender.render.heat.simulation")
-HEATH = "import thermorender as tr; heath = tr.load_scene('heath')"
+HEATH = "import thermorender as tr; heath = tr.load_scene('heath/survey')"
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,8 @@
 """Stated against true errors of whole frames in three dimensions: views drawn over the shipped worlds and an import.
 
-The true error of a frame is its difference from one of the same scene with four times the rays of the bake, other random
-numbers, and many rays a pixel. That one's own error is in it, so it is rather too large. What both share is not in it:
-shapes of crowns, single leaves, materials, temperatures; so the stated error is that without `leaves`.
+The true error of a frame is its difference from one of the same scene with four times the rays of the bake, other
+random numbers, and many rays a pixel. That one's own error is in it, so it is rather too large. What both share is
+not in it: shapes of crowns, single leaves, materials, temperatures; so the stated error is that without `leaves`.
 """
 
 import tempfile
