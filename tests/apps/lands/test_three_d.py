@@ -164,6 +164,22 @@ def test_a_house_has_the_heights_of_its_surface_model_and_walls_below_its_eaves(
     assert 0.5 * np.linalg.norm(across[upright], axis=1).sum() > 2.0 * (11.0 + 8.4) * 3.9
 
 
+def test_panels_on_one_line_of_large_texels_lie_on_the_roof():
+    """Texels of 2 m show a narrow array as a line, which does not tell the slope across it."""
+    canvas = Canvas(1, 64.0, 2.0)
+    canvas.value("glass")
+    canvas.solids = Solids(canvas)
+    window = Window(canvas, 1.0, -0.5, 25.0, 11.0)
+    canvas.top[:] = 5.0 + 0.4 * canvas.east
+    field = np.zeros(window.view(canvas.top).shape, bool)
+    field[len(field) // 2, 1:-1] = True
+    canvas.solids.panels(window, field, (0.0, 0.0), (4.0, 0.8))
+    vertices = canvas.solids.quads.mesh("panels").vertices
+    roof = 5.0 + 0.4 * vertices[:, 0]
+    # Level across the line: half of the width times the slope in that direction.
+    assert np.abs(vertices[:, 2] - roof - 0.12).max() < 0.8 * 0.4
+
+
 def test_snow_is_refused():
     winter = WeatherSpec(
         time=np.datetime64("2018-01-17T08:00:00"), air_low_c=-12.0, air_high_c=-3.0, humidity=0.9, wind_m_s=2.0,

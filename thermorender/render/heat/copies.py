@@ -16,8 +16,9 @@ from thermorender.render.geometry import Geometry
 from thermorender.render.light import leaves, radiosity
 from thermorender.scene.crowns import PROJECTION, Crowns
 
-# Points of a patch from which rays test for the sun, and patches handled at a time.
-_POINTS = 32
+# Points of a patch from which rays test for the sun; fewer of leaves in crowns, of which the light is a mean already,
+# where all together would have more rays than that, but as many as in the last number; and patches handled at a time.
+_POINTS, _MOST_RAYS, _LEAST_POINTS = 32, 1 << 18, 8
 _AT_ONCE = 1 << 16
 # Interval between instants for which the sun is tested [s]; between them sunlight is linear in time.
 _STEP_S = 3600.0
@@ -39,11 +40,14 @@ class Copies:
     ) -> None:  # fmt: skip
         self.first, self.last = (int(geometry.face_start[number]) for number in (surfaces.start, surfaces.stop))
         self._geometry, self._surfaces, self._towards = geometry, surfaces, towards
-        self._rays_of = radiosity.FaceRays(geometry, _POINTS // 2)
+        self._points = _POINTS
         self._known: dict[tuple[int, int], _Pair] = {}
         self._texels = geometry.texel_start[surfaces.start : surfaces.stop + 1]
         own = [geometry.surfaces[number] for number in surfaces]
         self._leaf = np.repeat([isinstance(s.instances, Crowns) for s in own], [len(s.faces) for s in own])
+        while self._leaf.all() and len(self._leaf) // 2 * self._points > _MOST_RAYS and self._points > _LEAST_POINTS:
+            self._points //= 2
+        self._rays_of = radiosity.FaceRays(geometry, self._points // 2)
         self._scatter = np.zeros((instants, int(self._texels[-1] - self._texels[0])), np.float32)
 
     def hidden(self, face: NDArray[Any]) -> NDArray[np.float32]:
@@ -71,6 +75,11 @@ class Copies:
         scatter = np.abs(found[texels[on]] - mean)
         self._scatter[instant, place] = np.maximum(self._scatter[instant, place], scatter)
         found[texels[on]] = mean
+
+    def spread(self, first: NDArray[np.integer]) -> None:
+        """Give texels the scatter of the texel whose number is theirs in `first`, (T,)."""
+        own = slice(self._texels[0], self._texels[-1])
+        self._scatter = self._scatter[:, first[own] - self._texels[0]]
 
     def scatter_k(self, instant: int) -> list[NDArray[np.float32]]:
         """Return the standard deviation of temperature within the texels of each surface at an instant [K]."""
@@ -110,7 +119,7 @@ class Copies:
         for start in range(0, len(tested), _AT_ONCE):
             part = tested[start : start + _AT_ONCE]
             origin, _, _, normal = self._rays_of(mi.UInt32(aligned(part + self.first, np.uint32)), 0)
-            even = mi.Float(aligned(np.repeat(np.where(leaf[part], PROJECTION, 0.0), _POINTS)))
+            even = mi.Float(aligned(np.repeat(np.where(leaf[part], PROJECTION, 0.0), self._points)))
             # Of thin leaves of all orientations, by their mean projection; of triangles on the lit side.
             cosine = dr.select(even > 0.0, even, dr.maximum(dr.dot(normal, sun), 0.0))
             lit = cosine * self._geometry.sunlight(mi.Ray3f(origin, sun), cosine > 0.0, coherent=True)

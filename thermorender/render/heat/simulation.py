@@ -156,6 +156,8 @@ class _Simulation:
         for part in np.split(self.shown, geometry.texel_start[1 : scene.solved_count]):
             part |= not part.any()
         self.reflects = self._brightness() * (1.0 if self.deviations is None else self.deviations[0])
+        # Faces with a column of their own, and the column of each face: both sides of leaves share one.
+        self.alone, self.column = np.unique(_first_sides(geometry)[: self.faces], return_inverse=True)
         self.first = self._firsts(block)
         self.start = max(asked[0] - np.timedelta64(int(_BEFORE_S), "s"), self.weather.time[0])
         # Change of the ground over the last day of settling [K], the largest of all runs.
@@ -232,28 +234,31 @@ class _Simulation:
                 progress((n + share) / len(blocks))
 
             for index, kelvin in enumerate(self._simulated(texels, report)):
-                found[index, texels] = kelvin[self.faces :]
+                found[index, texels] = kelvin[len(self.alone) :]
                 if self.copies is not None:
-                    self.copies.take_means(index, found[index], texels, self.covers[texels], kelvin)
+                    self.copies.take_means(index, found[index], texels, self.covers[texels], kelvin[self.column])
         found[:, own] = found[:, self.first[own]]
+        if self.copies is not None:
+            self.copies.spread(self.first)
         return found
 
     def _firsts(self, block: int) -> NDArray[np.integer]:
         """Number of the texel whose column each texel has, (T,): its own, or that of one texel of its square and
         material, which then has the mean deviations of those texels."""
-        number = np.arange(self.texels)
+        number, geometry = np.arange(self.texels), self.geometry
+        for k, surface in enumerate(self.scene.surfaces[: self.scene.solved_count]):
+            start = geometry.texel_start[k]
+            part = slice(start, start + surface.material.size)
+            if isinstance(surface.instances, Crowns):
+                # Each face has the texel of its number.
+                faces = slice(geometry.face_start[k], geometry.face_start[k + 1])
+                sides = _first_sides(geometry)[faces] - faces.start
+                number[start : start + len(sides)] = start + sides
+            elif block > 1 and k < self.scene.terrain_count and not separate(surface):
+                shown = self.shown[part].reshape(surface.material.shape)
+                number[part] = start + _alike(np.where(shown, surface.material, np.int16(-1)), block)
         if block == 1:
             return number
-        for surface, start in zip(
-            self.scene.surfaces[: self.scene.terrain_count], self.geometry.texel_start, strict=False
-        ):
-            if separate(surface):
-                continue
-            part = slice(start, start + surface.material.size)
-            shape = surface.material.shape
-            number[part] = start + _alike(
-                np.where(self.shown[part].reshape(shape), surface.material, np.int16(-1)), block
-            )
         count = np.maximum(np.bincount(number, minlength=self.texels), 1)
         mean = lambda values: (np.bincount(number, values, self.texels) / count)[number]  # noqa: E731
         self.reflects[:] = mean(self.reflects)
@@ -300,13 +305,13 @@ class _Simulation:
         spot = texel_points(geometry, texels, face)
         body = (face >= self.bodies.start) & (face < self.bodies.stop)
         spot[body] = self.middle[face[body]]
-        point = np.concatenate([self.middle, spot])
-        face = np.concatenate([np.arange(self.faces, dtype=np.uint32), face.astype(np.uint32)])
+        point = np.concatenate([self.middle[self.alone], spot])
+        face, count = np.concatenate([self.alone, face]).astype(np.uint32), len(self.alone)
         point += np.float32(geometry.hair) * self.normal[face]
         hidden = np.zeros(len(face), np.float32)
         if self.copies is not None:
-            hidden[self.faces :] = self.copies.hidden(face[self.faces :])
-        material = np.concatenate([self.face_material[: self.faces], self.material[texels]])
+            hidden[count:] = self.copies.hidden(face[count:])
+        material = np.concatenate([self.face_material[self.alone], self.material[texels]])
         kind = mi.UInt32(aligned(self.row[material], np.uint32))
         row = lambda values: dr.gather(mi.Float, mi.Float(aligned(values)), kind)  # noqa: E731
         rows = lambda values: [row(each) for each in values]  # noqa: E731
@@ -316,7 +321,7 @@ class _Simulation:
         }
         ground = ColumnProperties(**properties)
         # A face that no texel shares has the deviations of the texel at its middle.
-        column = np.concatenate([self.face_texel[: self.faces], texels])
+        column = np.concatenate([self.face_texel[self.alone], texels])
         deviations = [] if self.deviations is None else [each[column] for each in self.deviations[1:]]
         reflects = self.reflects[column]
         if sharing is not None and self.deviations is not None:
@@ -363,7 +368,7 @@ class _Simulation:
             yield np.array(balance.seen_k(state, columns.ground))
         for number, (at, seconds) in enumerate(steps):
             if own is not None and at >= first_s - _OWN_S - 1e-6:
-                index = mi.UInt32(aligned(np.concatenate([np.arange(self.faces), own]), np.uint32))
+                index = mi.UInt32(aligned(np.concatenate([np.arange(len(self.alone)), own]), np.uint32))
                 own_of = lambda values, index=index: [dr.gather(mi.Float, each, index) for each in values]  # noqa: E731
                 surface_k, film = own_of([state.surface_k, state.film])
                 liquid, remainder_k = (each and own_of(each) for each in (state.liquid, state.remainder_k))
@@ -393,8 +398,8 @@ class _Simulation:
         order = np.argsort(some)
         rank = np.empty_like(order)
         rank[order] = np.arange(len(order))
-        column = face
-        column[~known] = self.faces + rank[own]
+        column = self.column[within]
+        column[~known] = len(self.alone) + rank[own]
         return texels[~known][some[order]], column
 
     def _sun(self, instant: np.datetime64) -> NDArray[np.float64]:
@@ -454,12 +459,14 @@ class _Simulation:
         level = float(found.direct_w_m2 * max(towards[2], 0.0) + found.diffuse_w_m2)
         own = self.sky * np.float32(found.diffuse_w_m2 / max(level, 1.0))
         if towards[2] > 0.0 and found.direct_w_m2 > 0.0:
-            here = dr.arange(mi.UInt32, self.faces)
-            at = dr.gather(mi.Point3f, columns.point, here), dr.gather(mi.Vector3f, columns.normal, here)
-            lit = np.array(self._cosine((*at, here), mi.Bool(False), towards, middle_s))
-            own[: self.faces] += np.float32(found.direct_w_m2 / max(level, 1.0)) * lit
+            here = dr.arange(mi.UInt32, len(self.alone))
+            at = [dr.gather(kind, values, here) for kind, values in (
+                (mi.Point3f, columns.point), (mi.Vector3f, columns.normal), (mi.UInt32, columns.face)
+            )]  # fmt: skip
+            lit = np.array(self._cosine(at, mi.Bool(False), towards, middle_s))
+            own[: self.faces] += np.float32(found.direct_w_m2 / max(level, 1.0)) * lit[self.column]
         kelvin = self.face_kelvin.copy()
-        kelvin[: self.faces] = np.array(seen_k)[: self.faces]
+        kelvin[: self.faces] = np.array(seen_k)[self.column]
         emitted = self.emissivity * np.float32(STEFAN_BOLTZMANN) * kelvin**4
         sky = self.sky * np.float32(found.longwave_w_m2)
         for _ in range(1 if self.arrives is not None else _REFLECTIONS):
@@ -519,17 +526,28 @@ def _alike(material: NDArray[np.integer], block: int) -> NDArray[np.int64]:
     return found.reshape(-1)
 
 
+def _leaves(geometry: Geometry) -> NDArray[np.bool_]:
+    """Whether each face is that of leaves in crowns, (F,)."""
+    crown = [isinstance(surface.instances, Crowns) for surface in geometry.surfaces]
+    return np.repeat(crown, np.diff(geometry.face_start))
+
+
+def _first_sides(geometry: Geometry) -> NDArray[np.integer]:
+    """Number of the first side of the leaves of each face, (F,); of others their own."""
+    index = np.arange(geometry.face_count)
+    start = np.repeat(geometry.face_start[:-1], np.diff(geometry.face_start))
+    # Patches that face down and up alternate.
+    return np.where(_leaves(geometry), index - (index - start) % 2, index)
+
+
 def _both_sides(geometry: Geometry) -> Any:
     """Matrix (F, F) that gives both sides of leaves in crowns, which are thin, the mean of their light."""
     from scipy.sparse import csr_array
 
     index = np.arange(geometry.face_count)
-    other = index.copy()
-    for surface, first in zip(geometry.surfaces, geometry.face_start, strict=False):
-        if isinstance(surface.instances, Crowns):
-            here = slice(first, first + len(surface.faces))
-            # Patches that face down and up alternate.
-            other[here] = first + ((index[here] - first) ^ 1)
+    # The sum of the numbers of both sides is twice the first one's and 1; another face is its own second side.
+    first = _first_sides(geometry)
+    other = np.where(_leaves(geometry), 2 * first + 1 - index, index)
     rows = np.concatenate([index, index])
     half = np.full(len(rows), 0.5, np.float32)
     return csr_array((half, (rows, np.concatenate([index, other]))), (len(index), len(index)))

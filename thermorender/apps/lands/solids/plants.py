@@ -270,12 +270,15 @@ def _seeds(place: Floats, count: int) -> Floats:
     seeds = place[chosen]
     for _ in range(4):
         own = _nearest(place, seeds)
-        seeds = np.array([place[own == k].mean(axis=0) if (own == k).any() else seeds[k] for k in range(count)])
+        some = np.bincount(own, minlength=count)[:, None]
+        total = np.column_stack([np.bincount(own, axis, count) for axis in place.T])
+        seeds = np.where(some > 0, total / np.maximum(some, 1), seeds)
     return seeds
 
 
 def _nearest(place: Floats, seeds: Floats) -> NDArray[np.intp]:
-    found: NDArray[np.intp] = ((place[:, None] - seeds) ** 2).sum(axis=2).argmin(axis=1)
+    place, seeds = place - place[0], seeds - place[0]
+    found: NDArray[np.intp] = ((seeds**2).sum(axis=1) - 2.0 * place @ seeds.T).argmin(axis=1)
     return found
 
 
@@ -288,13 +291,14 @@ def _axes(place: Floats) -> Floats:
 
 def _lobe(point: Floats, colour: NDArray[np.floating]) -> tuple[Floats, float]:
     """(row of a table without its density, volume [m³]) of the ellipsoid with the extents of points (n, 3)."""
-    axis, middle = _axes(point[:, :2])[0], point.mean(axis=0)
-    across = np.array([axis[1], -axis[0]])
+    middle = point.mean(axis=0)
     off = point - middle
+    square = off.T @ off / len(point)
+    variance, axes = np.linalg.eigh(square[:2, :2])
     # The variance along an axis of an ellipsoid is a fifth of the square of its half-axis.
-    spread = [np.std(off[:, :2] @ across), np.std(off[:, :2] @ axis), np.std(off[:, 2])]
-    width, length, height = (max(2.0 * np.sqrt(5.0) * _WIDER * float(each), _LEAST_M) for each in spread)
-    row = _row((middle[0], middle[1], middle[2] - 0.5 * height), (width, length, height), axis, colour)
+    spread = np.sqrt(np.maximum([*variance, square[2, 2]], 0.0))
+    width, length, height = np.maximum(2.0 * np.sqrt(5.0) * _WIDER * spread, _LEAST_M).tolist()
+    row = _row((middle[0], middle[1], middle[2] - 0.5 * height), (width, length, height), axes[:, 1], colour)
     return row, np.pi / 6.0 * width * length * height
 
 
