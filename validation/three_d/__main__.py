@@ -24,11 +24,13 @@ def main(
         numbers = seeds_of(seeds)
         result = study.run(numbers, views, size_m, progress=report, device=device)
         result["imported"] = imported.run(numbers[0], views, size_m, device)
+        result["hours"] = study.by_hour(seed=numbers[0], views=views, size_m=size_m, progress=report, device=device)
         result["whole"] = whole.run(progress=report, device=device)
         formats.write_json(folder / "three_d.json", result)
     conclude("three_d", output, study.HEADER, study.rows(result), "numbers")
     for name, seen in (("budget", result["budget"]), ("budget, imported", result["imported"]["views"])):
         table((name, *study.BUDGET_HEADER), [(name, *row) for row in study.budget_rows(seen)])
+    table(("hour UTC", *(f"{angle:g}° [K]" for angle in study.ANGLES)), study.hour_rows(result["hours"]))
     table(whole.HEADER, whole.rows(result["whole"]))
     table(("map", *(f"{world} [K]" for world in study.WORLDS)), study.ranking_rows(result))
 

@@ -20,6 +20,8 @@ from scipy.ndimage import distance_transform_edt
 from scipy.stats import kendalltau
 
 from thermorender.apps.compare.machine import machine
+from thermorender.apps.lands.procedural.procedural_scene import KINDS as KINDS_OF_LAND
+from thermorender.apps.lands.procedural.procedural_scene import weather_of
 from thermorender.apps.lands.procedural.three_d import SURVEY, make_world, write
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
@@ -33,6 +35,7 @@ from thermorender.trajectory.path import pose
 from thermorender.versions import versions
 
 ANGLES = (60.0, 45.0, 25.0, 10.0)
+HOURS_UTC = (1, 4, 7, 10, 13, 16, 19, 22)
 KINDS = ("façade", "roof", "crown", "near ground", "far ground", "small", "all")
 MAPS = ("constant", "fok-1to1", "fok-9to1", "procedural-9to1", "procedural-palette", "procedural-trees",
         "procedural-pix2pix")  # fmt: skip
@@ -92,6 +95,45 @@ def run(seeds=(401, 402, 403), views=3, size_m=90.0, maps=MAPS, progress=None, d
         "seeds": list(seeds), "views": views, "size_m": size_m, "cases": cases, "ranking": _ranking(scores),
         "budget": covered, "machine": machine(), "versions": versions(),
     }  # fmt: skip
+
+
+def by_hour(hours=HOURS_UTC, seed=401, views=3, size_m=90.0, progress=None, device="auto"):
+    """Return [{hour_utc, angle_deg, mae_k, mean_k}]: errors of draped frames of one world through its day.
+
+    Parameters
+    ----------
+    hours : sequence of int
+        UTC, which sun time is 1.4 h ahead of.
+    seed, views, size_m, progress, device
+        As of `run`; the views are the same at each hour.
+    """
+    found, day = [], str(KINDS_OF_LAND["village"].weather.time)[:10]
+    for number, hour in enumerate(hours):
+        if progress:
+            progress(f"{hour} h UTC", number / len(hours))
+        with tempfile.TemporaryDirectory() as folder:
+            weather = weather_of("village", time=f"{day}T{hour:02d}:00Z")
+            world = make_world("village", seed, size_m, _TEXEL_M, _POST_M, weather=weather)
+            made = write(world, Path(folder) / "world")
+            draped, solid = (renderer_of(each, device) for each in (made / SURVEY, made))
+            random = np.random.default_rng(seed)
+            for angle in ANGLES:
+                error = []
+                for _ in range(views):
+                    at = drawn_pose(random, angle, size_m)
+                    flat, true = draped.frame(at), solid.frame(at)
+                    shown = _kinds(solid, true, size_m) >= 0
+                    error.append((flat.apparent_temperature - true.apparent_temperature)[shown])
+                joined = np.concatenate(error)
+                found.append({"hour_utc": hour, "angle_deg": angle, "mae_k": float(np.nanmean(np.abs(joined))),
+                              "mean_k": float(np.nanmean(joined))})  # fmt: skip
+    return found
+
+
+def hour_rows(found):
+    """Return the errors by hour as table rows: hour, then the mean absolute error at each of `ANGLES` [K]."""
+    return [(f"{hour}", *(f"{each['mae_k']:.2f}" for each in found if each["hour_utc"] == hour))
+            for hour in dict.fromkeys(each["hour_utc"] for each in found)]  # fmt: skip
 
 
 def rows(result):
