@@ -107,9 +107,19 @@ class _Bins:
         column, row = np.where(inside[:, None], index, 0.0).astype(np.int64).T
         bins = row * self._count[0] + column
         count = np.where(inside, self._start[bins + 1] - self._start[bins], 0)
+        upto = np.cumsum(count)
+        ends = np.searchsorted(upto, np.arange(_FACES_AT_ONCE, upto[-1:].sum(), _FACES_AT_ONCE))
+        parts = np.split(np.arange(len(point)), ends)
+        height = np.concatenate([self._highest(point[part], self._start[bins[part]], count[part]) for part in parts])
+        return np.where(np.isfinite(height), height, np.nan).reshape(east.shape)[()]
+
+    def _highest(self, point: NDArray[Any], start: NDArray[Any], count: NDArray[Any]) -> NDArray[np.float64]:
+        """Heights (n,) of the highest of `count` triangles from `start` on in the list of bins at points (n, 2); −inf
+        for none.
+        """
         which = np.repeat(np.arange(len(point)), count)
         offset = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-        corner = self._vertices[self._faces[self._triangle[self._start[bins][which] + offset]]]
+        corner = self._vertices[self._faces[self._triangle[start[which] + offset]]]
         v, w = weights_in_plan(corner[..., :2], point[which])
         with np.errstate(invalid="ignore"):
             hit = (v >= -1e-9) & (w >= -1e-9) & (v + w <= 1.0 + 1e-9)
@@ -117,4 +127,4 @@ class _Bins:
         a, b, c, v, w = (values[hit] for values in (a, b, c, v, w))
         height = np.full(len(point), -np.inf)
         np.maximum.at(height, which[hit], a[:, 2] + v * (b - a)[:, 2] + w * (c - a)[:, 2])
-        return np.where(np.isfinite(height), height, np.nan).reshape(east.shape)[()]
+        return height
