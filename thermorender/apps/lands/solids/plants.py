@@ -161,10 +161,11 @@ class Plants:
 
 
 def write_bodies(
-    folder: Path, every: "dict[tuple[str, str], Bodies]", down_m: float = 0.0, temperature: str | float = "balance"
-) -> list[dict[str, Any]]:
+    folder: Path, every: "dict[tuple[str, str], Bodies]", down_m: float = 0.0, temperature: str | float = "balance",
+    inferred: bool | None = None,
+) -> list[dict[str, Any]]:  # fmt: skip
     """Write tables of bodies into a scene's folder; return the [[object]] tables of scene.toml. `down_m` is taken from
-    their heights; `temperature` is of those without temperatures of their own."""
+    their heights; `temperature` is of those without temperatures of their own; `inferred` is a key of the tables."""
     if not every:
         return []
     (folder / _FOLDER).mkdir(exist_ok=True)
@@ -179,7 +180,7 @@ def write_bodies(
             write_text(folder / warm, _csv(KELVIN, bodies.kelvin, ",".join(["%.2f"] * len(KELVIN))))
         tables.append({
             "name": bodies.name, "shape": bodies.shape, "instances": file, "position": [0.0, 0.0, 0.0],
-            "leaf_area_1_m": DENSITY, "temperature": warm, "material": bodies.material,
+            "leaf_area_1_m": DENSITY, "temperature": warm, "material": bodies.material, "inferred": inferred,
         })  # fmt: skip
     return tables
 
