@@ -1,5 +1,7 @@
 """Crowns as turbid media: Beer's law, form factors and temperatures, against closed forms and explicit leaves."""
 
+import cv2
+import drjit as dr
 import numpy as np
 import pytest
 
@@ -7,9 +9,12 @@ import thermorender as tr
 from scenes import WEATHER, coarse, scene_object, write_balance, write_terrain
 from thermorender.apps.lands.solids.plants import write_leaf_tables
 from thermorender.physics.sun import direction
+from thermorender.render.arrays import opaque_view, view_ray
 from thermorender.render.geometry import Geometry
 from thermorender.render.heat.copies import Copies
 from thermorender.render.light import radiosity
+from thermorender.render.pixels.crown_tiles import CrownTiles
+from thermorender.render.pixels.sampling import CameraRays
 from thermorender.render.variant import activate
 
 TREES = (
@@ -77,6 +82,54 @@ def test_rays_pass_crowns_by_the_law_of_beer(tmp_path, away_m):
     met = np.array(geometry.crowns.drawn(ray, mi.Float(length))[0].met)
     off = met.sum() - (1.0 - expected).sum()
     assert abs(off) < 4.0 * np.sqrt((expected * (1.0 - expected)).sum())
+
+
+VIEWS = [
+    ((0.0, -9.0, 4.0), -20.0), *(((-3.0, 2.0, 2.5), pitch_deg) for pitch_deg in (-90.0, 0.0, 60.0)),
+    *(((0.5, 5.0, 0.7), pitch_deg) for pitch_deg in (-40.0, 20.0)), ((1.0, -1.0, 30.0), -90.0), ((0.0, -2.9, 9.0), 5.0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("place", "pitch_deg"), VIEWS)
+def test_rays_of_a_view_pass_crowns_by_the_law_of_beer(tmp_path, place, pitch_deg):
+    # From beside crowns, in an ellipsoid, in a box, and above all, last over their tops, which the view does not show.
+    scene, mi = coarse(tr.load_scene(write_crowns(tmp_path / "s")), 8), activate()
+    geometry, pose = Geometry(mi, scene.surfaces), tr.pose(*place, pitch_deg=pitch_deg)
+    view, camera = opaque_view(mi, pose), CameraRays(mi, scene.camera)
+    tiles = CrownTiles(geometry.crowns, view, camera)
+    # A pixel and all of its parts, as those of rays at edges.
+    slope = camera.finer(np.arange(camera.order.size), 0, 16).slope
+    ray = view_ray(mi, *view, *slope)
+
+    def visit(chord, state):
+        return chord.crown >= 0, (state[0] + chord.depth,)
+
+    nothing = dr.zeros(mi.Float, dr.width(slope[0]))
+    found = np.array(tiles.walk(tiles.listed(slope), ray, mi.Float(80.0), True, (nothing,), visit)[0])
+    start = np.broadcast_to(np.array(ray.o).T, (len(found), 3)).astype(float)
+    expected = optical_depth(scene.surfaces, start, start + 80.0 * np.array(ray.d).T)
+    np.testing.assert_allclose(np.exp(-found), np.exp(-expected), atol=0.01)
+    assert (expected > 0.1).any() == (place[2] != 9.0)
+
+
+def test_views_show_the_nearer_of_dense_crowns(tmp_path):
+    # A hedge of 14 m that leads away from the camera, and balls before its ends, on either side of it.
+    far = "east_m,north_m\n2,-6\n-2,-5\n2,3\n-2,5\n"
+    folder = tmp_path / "s"
+    folder.mkdir()
+    (folder / "balls.csv").write_text(far, encoding="utf-8")
+    common = {"material": "broadleaf", "leaf_area_1_m": 100.0}
+    extra = scene_object("hedge", [2.0, 14.0, 1.0], [0.0, 0.0, 0.0], temperature=280.0, **common)
+    extra += scene_object("balls", [2.0, 2.0, 2.0], temperature=320.0, shape="sphere", instances="balls.csv", **common)
+    scene = tr.load_scene(write_terrain(folder, extra=extra, sky=300.0, temperature=np.full((32, 32), 300.0)))
+    renderer = tr.Renderer(scene, "fast")
+    for pose in (tr.pose(6.0, -14.0, 2.0, look_at=(0.0, 0.0, 0.5)), tr.pose(-5.0, 12.0, 3.0, look_at=(0.0, 0.0, 0.5))):
+        frame = renderer.frame(pose)
+        # The truth comes from flights from hull to hull.
+        for number, kelvin in ((1, 280.0), (2, 320.0)):
+            shown = cv2.erode((frame.truth["object"] == number).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+            assert shown.sum() > 100
+            assert np.abs(frame.apparent_temperature[shown] - kelvin).max() < 4.0
 
 
 def test_flights_end_where_beers_law_says(tmp_path):

@@ -36,6 +36,7 @@ class Hit:
     surface: Jit  # number over the whole scene; 0 for a miss
     mirrored: Jit = 0.0  # from a mirror to the point seen in it [m]; 0 without a mirror
     leaves: Jit = 0.0  # share of light that crowns in front take; 0 without crowns
+    alone: Jit = False  # whether only crowns are hit
     strong: Jit = False  # whether the light on its face differs strongly from that of other faces
 
 

@@ -1,7 +1,7 @@
 """What a view consists of: layers of geometry with the radiance that leaves their surfaces."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import drjit as dr
@@ -12,6 +12,7 @@ from thermorender.render.arrays import Channels, Jit
 from thermorender.render.geometry import Geometry, Hit
 from thermorender.render.pixels.crown_light import SunlitLeaves
 from thermorender.render.reflection.device_tables import DirectionalTexels
+from thermorender.scene.crowns import PATCHES
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,7 @@ class OutgoingRadiance:
     faces: Channels | None = None  # corrections added to all channels of the texels
     directional: DirectionalTexels | None = None  # data of the directional texels
     leaves: SunlitLeaves | None = None  # of crowns that the sun warms
+    _patches: list[list[Jit]] = field(default_factory=list, init=False)  # what `patches` returns, once known
 
     @classmethod
     def of(
@@ -39,6 +41,19 @@ class OutgoingRadiance:
     def channels(self) -> int:
         """Number of all channels."""
         return self.texels.count + (self.rest.count if self.rest else 0)
+
+    def patches(self, geometry: Geometry) -> list[Jit]:
+        """Return the radiance of the patches of all crowns in each channel, [Float (PATCHES n,)]."""
+        crowns, mi = geometry.crowns, geometry.mi
+        if not self._patches and crowns is not None:
+            index = dr.arange(mi.UInt32, PATCHES * crowns.count)
+            crown, patch = index // PATCHES, index % PATCHES
+            first = crowns.first_texel, crowns.first_face
+            texel, face = (dr.gather(mi.UInt32, each, crown) + patch for each in first)
+            found = self.at_texel(texel, face, True)
+            dr.eval(found)
+            self._patches.append(found)
+        return self._patches[0]
 
     def at_texel(self, texel: Jit, face: Jit, active: Jit) -> list[Jit]:
         """Return all channels of texels seen on faces, as a list of Float; 0 where inactive."""

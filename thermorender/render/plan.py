@@ -51,7 +51,7 @@ class Plan:
     # Parts of the band where a material was not measured, and one standard deviation of the effect on a surface of
     # 300 K under the scene's sky [mK]
     assumed: tuple[tuple[Assumption, float], ...] = ()
-    inferred: tuple[str, ...] = ()  # Parts of a mesh whose shape nobody has seen
+    inferred: tuple[str, ...] = ()  # Parts of a mesh and objects whose shape nobody has seen
     # copies, bodies: Copies of bodies, and bodies that they are copies of
     copies: int = 0
     bodies: int = 0
@@ -252,7 +252,10 @@ def make_plan(scene: Scene, sampling: Sampling | None = None, kept: "tuple[Plan,
         specular_mk=specular.effect_mk if specular else None,
         specular=specular if specular and specular.effect_mk > 0.1 * sampling.tolerance_mk else None,
         assumed=_assumed(scene, per_mk),
-        inferred=tuple(one.name for one in scene.spec.surfaces if one.inferred),
+        inferred=(
+            *(one.name for one in scene.spec.surfaces if one.inferred),
+            *(one.name for one in scene.spec.objects if one.inferred),
+        ),
         copies=sum(map(len, copies)),
         bodies=len(copies),
         crowns=sum(len(each) for each in bodies if isinstance(each, Crowns)),

@@ -94,6 +94,11 @@ class Chord(NamedTuple):
     new: Jit  # Bool, whether there is one
 
 
+# What rays carry from crown to crown, and what they do in each: (whether to go on, state) of a Chord and the state.
+State = tuple[Jit, ...]
+Visit = Callable[[Chord, State], tuple[Jit, State]]
+
+
 class CrownField:
     """The crowns of surfaces. `face_start` and `texel_start` number their faces and texels; `hair` is the smallest
     offset between points [m]."""
@@ -135,6 +140,9 @@ class CrownField:
         )]  # fmt: skip
         self.surface, self.first_face, self.first_texel = (mi.UInt32(aligned(each, np.uint32)) for each in per)
         self._hair = dr.opaque(mi.Float, hair)
+        # (n, 3) middles and (n, 3, 3) half axes, a row each, of ellipsoids round the crowns, in the scene's frame [m].
+        self.middle = join(lambda c: c.middle)
+        self.reach = join(lambda c: (c.axes * c.half[:, None] * (np.sqrt(3.0) if c.box else 1.0)).transpose(0, 2, 1))
         self.leaf_m = max(crowns.leaf_m for _, crowns in own)
         self.crowns, self.numbers = every, [k for k, _ in own]
 
@@ -146,10 +154,18 @@ class CrownField:
         place, scale = (mi.Vector3f(each.x, each.y, each.z) for each in (middle, half))
         return UnitBody(place, scale, turn, middle.w, half.w > 0.5)
 
+    def chord(self, crown: Jit, ray: Jit, until: Jit, new: Jit) -> Chord:
+        """Return the Chord of rays up to `until` [m] in crowns; there is none where not `new`."""
+        frame = self.frame(crown, new)
+        at, way = frame.point(ray.o), frame.vector(ray.d)
+        start, end = frame.chord(at, way)
+        start = dr.maximum(start, 0.0)
+        length = dr.select(new, dr.maximum(dr.minimum(end, until) - start, 0.0), 0.0)
+        return Chord(crown, frame, at, way, start, frame.extinction * length, new & (length > 0.0))
+
     def walk(
-        self, ray: Jit, until: Jit, active: Jit, state: tuple[Jit, ...],
-        visit: Callable[[Chord, tuple[Jit, ...]], tuple[Jit, tuple[Jit, ...]]], coherent: bool = False,
-    ) -> tuple[Jit, ...]:  # fmt: skip
+        self, ray: Jit, until: Jit, active: Jit, state: State, visit: Visit, coherent: bool = False
+    ) -> State:  # fmt: skip
         """Return `state` after `visit(chord, state)`, which returns (whether to go on, state), of each crown that rays
         meet before `until` [m]. `coherent` rays are those of a view or towards the sun, side by side."""
         mi = self._mi
@@ -168,13 +184,7 @@ class CrownField:
             new = mi.Bool(hit)
             for each in seen:
                 new &= crown != each
-            frame = self.frame(crown, new)
-            place, way = frame.point(origin), frame.vector(direction)
-            start, end = frame.chord(place, way)
-            start = dr.maximum(start, 0.0)
-            length = dr.select(new, dr.maximum(dr.minimum(end, until) - start, 0.0), 0.0)
-            chord = Chord(crown, frame, place, way, start, frame.extinction * length, new & (length > 0.0))
-            on, now = visit(chord, now)
+            on, now = visit(self.chord(crown, mi.Ray3f(origin, direction), until, new), now)
             remembered = [dr.select(new, value, old) for value, old in zip((crown, *seen[:-1]), seen, strict=True)]
             at = at + dr.select(hit, found.t + self._hair, 0.0)
             after = after + dr.select(at > until, mi.UInt32(1), 0)
@@ -188,7 +198,7 @@ class CrownField:
     def transmittance(self, ray: Jit, until: Jit, active: Jit = True, coherent: bool = False) -> Jit:
         """Return the share of light that passes the crowns along rays up to `until` [m], Float."""
 
-        def visit(chord: Chord, state: tuple[Jit, ...]) -> tuple[Jit, tuple[Jit, ...]]:
+        def visit(chord: Chord, state: State) -> tuple[Jit, State]:
             depth = state[0] + chord.depth
             return depth < -np.log(_OPAQUE), (depth,)
 
@@ -199,7 +209,7 @@ class CrownField:
         """Return the FreeFlight of rays to an optical depth, before `until` [m]."""
         mi = self._mi
 
-        def visit(chord: Chord, state: tuple[Jit, ...]) -> tuple[Jit, tuple[Jit, ...]]:
+        def visit(chord: Chord, state: State) -> tuple[Jit, State]:
             left, met, distance, crown = state
             here = chord.new & (chord.depth >= left)
             place = dr.select(here, chord.start + left / chord.frame.extinction, distance)

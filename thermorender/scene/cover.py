@@ -254,7 +254,9 @@ def _of_class_raster(
     What a map does not show, such as the ground below a roof, has the nearest class.
     """
     assert texture.classes is not None
-    used, everywhere = used_texels(surface), np.ones(surface.flags.shape, bool)
+    everywhere = np.ones(surface.flags.shape, bool)
+    # Which texels are used matters only where some have no class.
+    used = everywhere.copy() if texture.classes.all() else used_texels(surface)
     if texture.shown is not None:
         used &= texture.shown
     name = f"the class raster of surface {surface.name!r}"

@@ -191,13 +191,15 @@ def _mesh_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]) 
     ground = tuple(_part_surface(part) for part in parts)
     textures = tuple(Texture(part.names, part.texture) for part in parts)
     unseen = [one is not None and one.inferred for one in stating(textures, spec.surfaces, ("inferred",), where)]
-    ground = tuple(
-        replace(surface, flags=surface.flags | np.uint8(FILLED)) if inferred else surface
-        for surface, inferred in zip(ground, unseen, strict=True)
-    )
+    ground = tuple(_flagged(surface, inferred) for surface, inferred in zip(ground, unseen, strict=True))
     frame = LocalFrame(*spec.frame) if spec.frame else None
     files = SceneFiles(frame, None, ground, None, None, None, None, None, (), library, textures)
     return replace(files, textures=_with_classes(spec, files, where))
+
+
+def _flagged(surface: Surface, inferred: bool | None) -> Surface:
+    """A surface whose shape nobody has seen where it is `inferred`."""
+    return replace(surface, flags=surface.flags | np.uint8(FILLED)) if inferred else surface
 
 
 def _with_classes(spec: SceneSpec, files: SceneFiles, where: str) -> tuple[Texture, ...]:
@@ -243,7 +245,9 @@ def _object(item: ObjectSpec, folder: Path, where: str) -> TrackedObject:
         parts = mesh.load(item.file, folder, item.inner_heat_share, item.axes)
     # A disc is slightly above the ground, so that neither hides the other.
     lift = 0.02 if item.shape == "disc" else 0.0
-    surfaces = tuple(_part_surface(replace(part, name=f"{item.name}:{part.name}")) for part in parts)
+    surfaces = tuple(
+        _flagged(_part_surface(replace(part, name=f"{item.name}:{part.name}")), item.inferred) for part in parts
+    )
     time_s, columns = read_track(item.track) if item.track else (np.zeros(1), {})
     places = read_places(item.instances, COLUMNS if item.leaf_area_1_m else {}) if item.instances else None
     if item.leaf_area_1_m and places is None:

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from thermorender.scene.surface import Surface
 
+# Largest sizes of triangles in successive bins.
+_RATIO = 8.0
 # About 300 bytes of memory per face.
 _FACES_AT_ONCE = 1 << 20
 
@@ -39,8 +41,19 @@ class Ground:
         self._surfaces = tuple(surfaces)
 
     @cached_property
-    def _bins(self) -> "_Bins":
-        return _Bins(self._surfaces)
+    def _bins(self) -> "list[_Bins]":
+        """The triangles by their size, each _RATIO times as large as those before."""
+        first_vertex = np.cumsum([0] + [len(surface.vertices) for surface in self._surfaces])
+        vertices = np.concatenate([surface.vertices for surface in self._surfaces])
+        faces = np.concatenate([
+            (surface.faces + first).astype(np.int32)
+            for surface, first in zip(self._surfaces, first_vertex, strict=False)
+        ])  # fmt: skip
+        # Bins about as large as a triangle, so that each triangle is in a few bins.
+        size = np.concatenate([np.ptp(vertices[part, :2], axis=1).max(axis=1) for part in _parts(faces)])
+        least = max(1.5 * float(np.median(size)), 1e-9)
+        level = np.ceil(np.log(np.maximum(size / least, 1.0)) / np.log(_RATIO))
+        return [_Bins(vertices, faces[level == k], least * _RATIO**k) for k in np.unique(level)]
 
     @overload
     def __call__(self, east: float, north: float) -> float: ...
@@ -50,30 +63,29 @@ class Ground:
 
     def __call__(self, east: Any, north: Any) -> Any:
         """Return local heights [m] in the shape of the arguments, a number for numbers; NaN off the terrain."""
-        return self._bins.height(east, north)
+        east, north = np.broadcast_arrays(np.asarray(east, np.float64), np.asarray(north, np.float64))
+        point = np.stack([east.ravel(), north.ravel()], axis=-1)
+        height = np.fmax.reduce([bins.height(point) for bins in self._bins])
+        return height.reshape(east.shape)[()]
+
+
+def _parts(faces: NDArray[np.int32]) -> list[NDArray[np.int32]]:
+    """The faces, a few at a time."""
+    return [faces[first : first + _FACES_AT_ONCE] for first in range(0, len(faces), _FACES_AT_ONCE)]
 
 
 class _Bins:
-    """The triangles of a terrain by squares of the plan."""
+    """Triangles `faces` (F, 3) by squares of the plan, of `side` [m] or more."""
 
-    def __init__(self, surfaces: Sequence[Surface]) -> None:
-        first_vertex = np.cumsum([0] + [len(surface.vertices) for surface in surfaces])
-        self._vertices = np.concatenate([surface.vertices for surface in surfaces])
-        faces = [surface.faces + first for surface, first in zip(surfaces, first_vertex, strict=False)]
-        self._faces = np.concatenate(faces).astype(np.int32)
-        plan = self._vertices[:, :2]
+    def __init__(self, vertices: NDArray[np.floating], faces: NDArray[np.int32], side: float) -> None:
+        self._vertices, self._faces = vertices, faces
+        plan = vertices[:, :2]
         used = np.zeros(len(plan), bool)
-        used[self._faces] = True
+        used[faces] = True
         self._origin = plan[used].min(axis=0)
         extent = plan[used].max(axis=0) - self._origin
-        # Bins about as large as a triangle, so that each triangle is in a few bins.
-        sides = [np.median(np.ptp(plan[part], axis=1), axis=0) for part in self._parts()]
-        self._bin = max(float(np.median(sides)) * 1.5, float(extent.max()) / 4096, 1e-9)
-        # Where most triangles are tiny, beside small objects, the others would be in thousands of bins each.
-        spans = [self._span(plan[part]) for part in self._parts()]
-        while sum(int(span.prod(axis=1).sum()) for _, span in spans) > 8 * len(self._faces):
-            self._bin *= 1.5
-            spans = [self._span(plan[part]) for part in self._parts()]
+        self._bin = max(side, float(extent.max()) / 4096)
+        spans = [self._span(plan[part]) for part in _parts(faces)]
         self._count = np.floor(extent / self._bin).astype(np.int64) + 1
         triangles, bins_of = [], []
         for number, (first, span) in enumerate(spans):
@@ -93,14 +105,8 @@ class _Bins:
         first = np.floor((corner.min(axis=1) - self._origin) / self._bin).astype(np.int32)
         return first, np.floor((corner.max(axis=1) - self._origin) / self._bin).astype(np.int32) - first + 1
 
-    def _parts(self) -> list[NDArray[np.int32]]:
-        """The faces, a few at a time."""
-        return [self._faces[first : first + _FACES_AT_ONCE] for first in range(0, len(self._faces), _FACES_AT_ONCE)]
-
-    def height(self, east: Any, north: Any) -> Any:
-        """Return heights as `Ground` does."""
-        east, north = np.broadcast_arrays(np.asarray(east, np.float64), np.asarray(north, np.float64))
-        point = np.stack([east.ravel(), north.ravel()], axis=-1)
+    def height(self, point: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the heights at points of the plan (n, 2), (n,) [m]; NaN where there is no triangle."""
         index = np.floor((point - self._origin) / self._bin)
         inside = ((index >= 0.0) & (index < self._count)).all(axis=-1)
         # Far outside, the index exceeds the range of integers.
@@ -111,7 +117,7 @@ class _Bins:
         ends = np.searchsorted(upto, np.arange(_FACES_AT_ONCE, upto[-1:].sum(), _FACES_AT_ONCE))
         parts = np.split(np.arange(len(point)), ends)
         height = np.concatenate([self._highest(point[part], self._start[bins[part]], count[part]) for part in parts])
-        return np.where(np.isfinite(height), height, np.nan).reshape(east.shape)[()]
+        return np.where(np.isfinite(height), height, np.nan)
 
     def _highest(self, point: NDArray[Any], start: NDArray[Any], count: NDArray[Any]) -> NDArray[np.float64]:
         """Heights (n,) of the highest of `count` triangles from `start` on in the list of bins at points (n, 2); −inf

@@ -227,9 +227,9 @@ def _allowed(corner: _Floats, own: float, bodies: Sequence[_Body]) -> _Floats:
     # Farther away, no triangle is too large.
     reach = longest.max() / _GROWTH
     first, last = low.min(axis=1) - reach, high.max(axis=1) + reach
-    for body in bodies:
-        if (body.high < first).any() or (body.low > last).any():
-            continue
+    lows, highs = (np.array([getattr(body, name) for body in bodies]).reshape(-1, 3) for name in ("low", "high"))
+    for number in np.flatnonzero(((highs >= first) & (lows <= last)).all(axis=1)).tolist():
+        body = bodies[number]
         near = np.flatnonzero((low[0] <= body.high[0] + reach) & (high[0] >= body.low[0] - reach))
         apart = [
             np.maximum(np.maximum(body.low[k] - high[k][near], low[k][near] - body.high[k]), 0.0) for k in range(3)

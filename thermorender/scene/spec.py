@@ -307,6 +307,8 @@ class ObjectSpec:
     leaf_area_1_m: float | None = key(number(*DENSITIES, unit="m²/m³"), None)
     # Side of a leaf of a crown [m], for the stated error.
     leaf_m: float = key(number(1e-3, 10.0, unit="m"), LEAF_M)
+    # Whether nobody has seen its shape, as of a SurfaceSpec.
+    inferred: bool | None = key(flag, None)
 
     def check(self, where: Where, given: Mapping[str, Any]) -> None:
         """Refuse none or two kinds of solid, and a name that could be a part's."""

@@ -14,7 +14,7 @@ from thermorender.materials.mixture import Mixture, parts_of
 from thermorender.scene.raster import Grid, grid_of, onto, opened, read_band
 from thermorender.scene.spec import TemperatureSpec, WeatherSpec
 from thermorender.scene.surface import FALLBACK, MOST_OPEN, Surface, fill, nearest_valid, open_share, scene_kelvin
-from thermorender.scene.textures import Texture, onto_texels, separate
+from thermorender.scene.textures import Texture, onto_texels, separate, used_texels
 from thermorender.schema import Where, read
 from thermorender.sensor.radiometric_files import likely_scales
 from thermorender.units import ZERO_CELSIUS_K, kelvin_scale
@@ -139,7 +139,8 @@ def _raster(spec: TemperatureSpec, texels: Texels) -> tuple[_Kelvin, NDArray[np.
     values = raster_temperature(spec.raster, texels)
     valid = np.isfinite(values)
     if not valid.all():
-        share = open_share(~valid, texels.on_ground)
+        on_ground = texels.on_ground if texels.surface is None else used_texels(texels.surface)
+        share = open_share(~valid, on_ground)
         if spec.value is None and share > MOST_OPEN:
             raise ThermorenderError(
                 f"{spec.raster} leaves {share:.1%} of the terrain of {texels.where} without a temperature; give one "

@@ -17,7 +17,7 @@ from thermorender.scene.spec import SunSpec, SurfaceSpec, TemperatureSpec, Weath
 from thermorender.scene.surface import FALLBACK, UNMOVED, Surface, fill, nearest_valid, scene_kelvin
 from thermorender.scene.temperature import Texels, map_error_k, resolve, trained
 from thermorender.scene.temperature_state import Available, Balance, Conditional, Moved, Pending, TemperatureState
-from thermorender.scene.textures import stating, used_texels
+from thermorender.scene.textures import stating
 
 if TYPE_CHECKING:
     from thermorender.atmosphere.model import Atmosphere
@@ -143,10 +143,9 @@ def _resolved(
             chosen = TemperatureSpec("raster", raster=stated, value=spec.value)
         elif stated is not None:
             chosen = TemperatureSpec("constant", value=stated)
-        on_ground = used_texels(surface) if texture and chosen.source == "raster" else shape.on_ground
         found.append(resolve(chosen, Texels(
             painted.colour, painted.material, materials, shape.grid, surface.texel_m, where, source.report,
-            source.model, on_ground, surface if texture else None, texture,
+            source.model, shape.on_ground, surface if texture else None, texture,
         )))  # fmt: skip
         if chosen.raster is not None:
             _warn_of_heights(chosen.raster, found[-1][0], surface)

@@ -94,10 +94,11 @@ def test_what_nobody_has_seen_is_flagged_and_listed(model, tmp_path):
     import_terrain(model / "dsm.tif", None, tmp_path / "s", three_d=ThreeD(model / "dem.tif"))
     scene = tr.load_scene(tmp_path / "s")
     flagged = {name: bool((surface.flags & FILLED).all()) for name, surface in surfaces(scene).items()}
-    assert flagged == {"ground": False, "roofs": False, "walls": True, "trunks": True, "sphere": False}
+    assert flagged == {"ground": False, "roofs": False, "walls": True, "trunks": True, "sphere": True}
     assert {row[0] for row in make_plan(scene, Sampling.of(rays=16)).rows() if row[1] == "inferred"} == {
         "walls",
         "trunks",
+        "broadleaf_crowns",
     }
     renderer = tr.Renderer(scene, quality="fast", rays=16)
     frame = renderer.frame(scene.pose(-7.0, -20.0, 6.0, look_at=(-7.0, 3.0, 0.0)))

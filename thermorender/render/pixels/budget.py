@@ -12,6 +12,7 @@ added.
 """
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -72,7 +73,7 @@ def budget_mk(
     if baked.plan.specular:
         parts["mirrors"] = float(np.hypot(parts["mirrors"], _rms(mirrored)))
     if baked.geometry.crowns is not None:
-        parts["leaves"] = _rms(_leaves(baked, tracer.rays, pose, states, _PIXELS))
+        parts["leaves"] = _rms(_leaves(baked, tracer, pose, states, _PIXELS))
     parts["sampling"] = _rms(errors[shown])
     total = float(np.sqrt(sum(value**2 for value in parts.values())))
     found = {**parts, "total": total, "image": _rms(np.where(shown, total, errors))}
@@ -92,7 +93,7 @@ def error_mk(
     light = np.zeros(radiance.size)
     light[rays.order] = np.nan_to_num(np.hypot(*_light(baked, rays, pose, states, 1)))
     if baked.geometry.crowns is not None:
-        light[rays.order] = np.hypot(light[rays.order], np.nan_to_num(_leaves(baked, rays, pose, states, 1)))
+        light[rays.order] = np.hypot(light[rays.order], np.nan_to_num(_leaves(baked, tracer, pose, states, 1)))
     square = light.reshape(radiance.shape) ** 2 + np.square(errors / baked.plan.radiance_per_mk, dtype=np.float64)
     square += sum(value**2 for value in _everywhere(baked).values())
     return np.sqrt(square).astype(np.float32)
@@ -170,7 +171,7 @@ def _light(
 
 
 def _leaves(
-    baked: LoadedLight, rays: CameraRays, pose: Floats, states: Sequence[ObjectState], every: int
+    baked: LoadedLight, tracer: Tracer, pose: Floats, states: Sequence[ObjectState], every: int
 ) -> Floats:  # fmt: skip
     """Standard deviation of every n-th pixel over crowns drawn leaf by leaf [mK]; NaN where it shows nothing.
 
@@ -178,8 +179,8 @@ def _leaves(
     T is the mean share that passes and r = 2/3 (l/p)² (a leaf's mean projected area is half of its own, and of the
     square of it a third). Leaves that are seen differ by the sun on them.
     """
-    device, mi, field = baked.device, baked.geometry.mi, baked.geometry.crowns
-    assert field is not None
+    device, mi, field, rays = baked.device, baked.geometry.mi, baked.geometry.crowns, tracer.rays
+    assert field is not None and tracer.crowns is not None
     numbers = _one_of(every, len(rays.order))
     slope = rays.slopes(0.5, 0.5, mi.UInt32(aligned(numbers, np.uint32)))
     layers, sums = device.layers(pose, states), baked.plan.spectrum.solver.sum(axis=0)
@@ -190,7 +191,8 @@ def _leaves(
     hit, _, behind = first_hit(layers, lambda layer: view_ray(mi, *layer.view, *slope), read, Geometry.seen_through)
     ray = view_ray(mi, *layers[0].view, *slope)
     outgoing = layers[0].outgoing
-    leaves = along(layers[0].geometry, outgoing, ray, dr.select(hit.valid, hit.distance, np.inf))
+    until, walk = dr.select(hit.valid, hit.distance, np.inf), partial(tracer.crowns.walk, tracer.crowns.listed(slope))
+    leaves = along(layers[0].geometry, outgoing, ray, until, walk)
     dr.eval(behind, leaves.passed, leaves.distance, leaves.channels, hit.valid, ray.d.z)
     solid, own = (
         sum(weight * np.array(each, np.float64) for weight, each in zip(sums, channels, strict=True))

@@ -6,7 +6,7 @@ orientations that are in the sun and seen at a phase angle g have 8/(3π) (sin g
 excess, since those that face the sun are warmest (mean of |n·s||n·v| over all normals n).
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -18,7 +18,7 @@ from thermorender.physics import sun
 from thermorender.render.arrays import Channels, Floats, Jit, aligned
 from thermorender.render.geometry import Geometry
 from thermorender.render.plan import Plan
-from thermorender.render.turbid import Chord, CrownField, UnitBody
+from thermorender.render.turbid import Chord, CrownField, State, UnitBody
 from thermorender.scene.crowns import PATCHES, QUARTERS
 from thermorender.scene.scene import Scene
 
@@ -187,17 +187,17 @@ def sunlit_leaves(scene: Scene, plan: Plan, geometry: Geometry) -> SunlitLeaves 
     return SunlitLeaves(scene, plan, geometry, sun.direction(float(elevation), float(azimuth)))
 
 
-def along(geometry: Geometry, outgoing: "OutgoingRadiance", ray: Jit, until: Jit) -> Along:
-    """Return what rays see of the crowns up to `until` [m]."""
+def along(geometry: Geometry, outgoing: "OutgoingRadiance", ray: Jit, until: Jit, walk: Callable[..., State]) -> Along:
+    """Return what rays see of the crowns up to `until` [m]; `walk` is as of `CrownField`."""
     field, mi, leaves = geometry.crowns, geometry.mi, outgoing.leaves
     assert field is not None
     phase = leaves.phase(ray.d) if leaves else None
     # Sides that are seen face the camera, and see more of what is behind it than others: where light is linear in the
     # direction, their mean is 4/9 of its change to the mean of all, against 1/3 of sides that face up.
     up = 0.5 - 2.0 / 3.0 * ray.d.z
-    tables = _tables(geometry, field, outgoing)
+    tables = outgoing.patches(geometry)
 
-    def visit(chord: Chord, state: tuple[Jit, ...]) -> tuple[Jit, tuple[Jit, ...]]:
+    def visit(chord: Chord, state: State) -> tuple[Jit, State]:
         passed, distance, *total = state
         lost = dr.select(chord.new, 1.0 - dr.exp(-chord.depth), 0.0)
         quarters = []
@@ -222,17 +222,6 @@ def along(geometry: Geometry, outgoing: "OutgoingRadiance", ray: Jit, until: Jit
 
     width = dr.width(ray.d)
     begin = (dr.full(mi.Float, 1.0, width), *(dr.zeros(mi.Float, width) for _ in range(1 + outgoing.channels)))
-    passed, distance, *channels = field.walk(ray, until, True, begin, visit, coherent=True)
+    passed, distance, *channels = walk(ray, until, True, begin, visit)
     share = dr.maximum(1.0 - passed, 1e-12)
     return Along(passed, distance / share, [each / share for each in channels])
-
-
-def _tables(geometry: Geometry, field: CrownField, outgoing: "OutgoingRadiance") -> list[Jit]:
-    """Radiance of the patches of all crowns in each channel, [Float (PATCHES n,)]."""
-    mi = geometry.mi
-    index = dr.arange(mi.UInt32, PATCHES * field.count)
-    crown, patch = index // PATCHES, index % PATCHES
-    texel, face = (dr.gather(mi.UInt32, table, crown) + patch for table in (field.first_texel, field.first_face))
-    tables = outgoing.at_texel(texel, face, True)
-    dr.eval(tables)
-    return tables

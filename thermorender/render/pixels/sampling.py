@@ -69,7 +69,7 @@ class CameraRays:
     """A camera's rays on the render side, including a ring of pixels round its image, needed to find edges there."""
 
     def __init__(self, mi: Mitsuba, camera: Camera) -> None:
-        self._mi, self.camera, self.width, self.height = mi, camera, camera.width, camera.height
+        self.mi, self.camera, self.width, self.height = mi, camera, camera.width, camera.height
         # (H·W,) pixel numbers in the order of the arrays, where the ring follows; position of each pixel in it.
         self.order = morton_order(camera.height, camera.width)
         self.position = np.empty_like(self.order)
@@ -90,10 +90,10 @@ class CameraRays:
         off = [(at - inside)[:, None] for at, inside in zip((row, column), beside, strict=True)]
         parts = (slopes(0.5, 0.5) + off[1] * across + off[0] * along, across, along)
         self._parts = [[mi.Float(aligned(part[:, axis])) for axis in (0, 1)] for part in parts]
-        # `SampledImage.hit` of the image rendered last, the Hit of its rays through the pixels' middles, with surfaces
-        # numbered over the layers, and its geometry and pose if no object moves. Kept here, so that frames in memory do
-        # not each hold it; set and read as a whole.
-        self.last_hits: tuple[NDArray[np.bool_], Any, tuple[Any, bytes] | None] | None = None
+        # `SampledImage.hit` of the image rendered last, None where crowns may cover it; the Hit of its rays through the
+        # pixels' middles on what is solid, with surfaces numbered over the layers; and its geometry and pose if no
+        # object moves. Kept here, so that frames in memory do not each hold it; set and read as a whole.
+        self.last_hits: tuple[NDArray[np.bool_] | None, Any, tuple[Any, bytes] | None] | None = None
         self._offsets = _net()
         self._net = [mi.Float(aligned(values)) for values in self._offsets.T]
 
@@ -127,10 +127,17 @@ class CameraRays:
         x, y = (values.reshape(self.height, self.width) for values in middle)
         return x, y, float(sum(np.hypot(*part) for part in sides).max())
 
+    @cached_property
+    def slope_range(self) -> Floats:
+        """Least and largest slopes of rays in all pixels and the ring, (2, 2): of x/z and y/z."""
+        middle, *sides = (np.array([np.array(values) for values in part]) for part in self._parts)
+        half = 0.5 * sum(np.abs(side) for side in sides)
+        return np.stack([(middle - half).min(axis=1), (middle + half).max(axis=1)]).astype(np.float64)
+
     def footprints(self, samples: int) -> list["Footprint"]:
         """Return the Footprints of `samples` rays of every pixel, including the ring."""
         rows, columns = _CELLS[samples]
-        size = dr.opaque(self._mi.Float, 1.0 / columns), dr.opaque(self._mi.Float, 1.0 / rows)
+        size = dr.opaque(self.mi.Float, 1.0 / columns), dr.opaque(self.mi.Float, 1.0 / rows)
         found = []
         for right, down in PATTERNS[samples]:
             middle = np.floor(right * columns) + 0.5 - right * columns, np.floor(down * rows) + 0.5 - down * rows
@@ -148,7 +155,7 @@ class CameraRays:
         middle, across, along = self._parts
         if index is not None:
             middle, across, along = (
-                [dr.gather(self._mi.Float, values, index) for values in part] for part in (middle, across, along)
+                [dr.gather(self.mi.Float, values, index) for values in part] for part in (middle, across, along)
             )
         slope = [dr.fma(right - 0.5, across[axis], dr.fma(down - 0.5, along[axis], middle[axis])) for axis in (0, 1)]
         return slope, across, along
@@ -160,7 +167,7 @@ class CameraRays:
         """Return the Footprints of rays first … last − 1 of the pixels at `position`, side by side per pixel. The
         pixel, or its part in `within`, is divided into `last` cells, one per ray; `shift` (n, 2) moves rays cyclically
         within their cells."""
-        mi = self._mi
+        mi = self.mi
         # Opaque: literals would compile the kernel again for each stage.
         count, start = dr.opaque(mi.UInt32, last - first), dr.opaque(mi.UInt32, first)
         ray = dr.arange(mi.UInt32, len(position) * (last - first))

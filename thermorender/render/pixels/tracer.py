@@ -20,6 +20,7 @@ from thermorender.render.arrays import Jit, aligned, view_ray
 from thermorender.render.geometry import Geometry, Hit
 from thermorender.render.layers import Layer, LayerHit, first_hit
 from thermorender.render.pixels.crown_light import along
+from thermorender.render.pixels.crown_tiles import tiles_of
 from thermorender.render.pixels.footprint import PLACES, Climb, OnMap, Reading
 from thermorender.render.pixels.sampling import (
     COPIES_STAGES,
@@ -92,13 +93,17 @@ class Tracer:
         slender: Callable[[], Rectangles], pose: NDArray[Any] | None = None,
     ) -> None:  # fmt: skip
         self._slender = slender
-        self._crowns = layers[0].geometry.crowns
+        # The crowns of the view by tiles of the image; None without.
+        self.crowns = tiles_of(layers[0], rays)
+        if self.crowns:
+            # Here, since nothing can be evaluated in a branch of a kernel.
+            layers[0].outgoing.patches(layers[0].geometry)
         self._place = None if pose is None or len(layers) > 1 else (layers[0].geometry, pose.tobytes())
         self._layers, self.rays, self._medium = layers, rays, medium
         copies = [isinstance(each.instances, Instances) for layer in layers for each in layer.geometry.surfaces]
         self._copies = layers[0].geometry.mi.Float(aligned(copies)) if any(copies) else None
         # Copies and crowns have soft edges, for which few rays suffice.
-        self._soft = self._copies is not None or self._crowns is not None
+        self._soft = self._copies is not None or self.crowns is not None
         sampling, self._mi = plan.sampling, layers[0].geometry.mi
         self._samples = sampling.samples
         # Read here, since reading waits for all kernels that run.
@@ -124,9 +129,9 @@ class Tracer:
         inside = ..., slice(RING, -RING), slice(RING, -RING)
         image, guide = ringed[inside][:channels].copy(), ringed[channels:]
         met = guide[inside][0] > 0.0
-        if self._samples == 1 and self._crowns is None:
+        if self._samples == 1:
             # Not what depends on the radiance. The hits of rays that pass crowns are not those of the truth.
-            self.rays.last_hits = met, Hit(hit.valid, hit.distance, hit.face, hit.surface), self._place
+            self.rays.last_hits = met if self.crowns is None else None, hit, self._place
         flat = image.reshape(channels, -1)
         crossed = crossed[~met.flat[crossed]]
         if crossed.size:
@@ -143,8 +148,8 @@ class Tracer:
         return image, SampledImage(met, step, refined)
 
     def _first_rays(self, search: bool) -> tuple[list[Jit], int, Hit]:
-        """(channels and guides over the image with its ring, [Float]; number of channels; hits of the last rays);
-        evaluated."""
+        """(channels and guides over the image with its ring, [Float]; number of channels; hits of the last rays, which
+        pass all crowns); evaluated."""
         mi, rays = self._mi, self.rays
         total: list[Jit] = []
         # Read and replaced as a whole: another thread may render another view meanwhile.
@@ -160,8 +165,11 @@ class Tracer:
         targets = [dr.zeros(mi.Float, (rays.height + 2 * RING) * (rays.width + 2 * RING)) for _ in total]
         for target, value in zip(targets, total, strict=True):
             dr.scatter(target, value, rays.ringed)
-        dr.eval(targets, (hit.valid, hit.distance, hit.face, hit.surface) if single else ())
-        return targets, channels, hit
+        solid = Hit(hit.valid, hit.distance, hit.face, hit.surface)
+        if self.crowns is not None:
+            solid = replace(solid, valid=hit.valid & ~hit.alone, distance=dr.select(hit.alone, np.inf, hit.distance))
+        dr.eval(targets, (solid.valid, solid.distance, solid.face, solid.surface) if single else ())
+        return targets, channels, solid
 
     def _guides(self, hit: Hit, cell: Footprint, search: bool) -> list[Jit]:
         """Images that show the edges, [Float]: inverse depth [1/m], 0 for misses; in a search also surfaces, and
@@ -314,20 +322,31 @@ class Tracer:
             hit, total = replace(hit, mirrored=mirrored), [a + b for a, b in zip(total, added, strict=True)]
         climb = Climb.of(layers[0].view[0], ray.d.z, cell) if split else None
         values = self._medium.at_camera(hit, total, ray.o, ray.d, climb)
-        return (hit, values) if self._crowns is None else self._behind_leaves(ray, hit, values)
+        return (hit, values) if self.crowns is None else self._behind_leaves(ray, cell.slope, hit, values)
 
-    def _behind_leaves(self, ray: Jit, hit: Hit, values: list[Jit]) -> tuple[Hit, list[Jit]]:
+    def _behind_leaves(self, ray: Jit, slope: Sequence[Jit], hit: Hit, values: list[Jit]) -> tuple[Hit, list[Jit]]:
         """(hits, radiance) of rays with the leaves in front of what they hit, from those without."""
-        layer = self._layers[0]
-        leaves = along(layer.geometry, layer.outgoing, ray, dr.select(hit.valid, hit.distance, np.inf))
-        some = leaves.passed < 1.0
-        near = Hit(some, dr.select(some, leaves.distance, 1.0), hit.face, hit.surface)
-        shown = self._medium.at_camera(near, leaves.channels, ray.o, ray.d)
-        values = [dr.select(some, dr.lerp(b, a, leaves.passed), a) for a, b in zip(values, shown, strict=True)]
+        layer, crowns = self._layers[0], self.crowns
+        assert crowns is not None
+        listed, until = crowns.listed(slope), dr.select(hit.valid, hit.distance, np.inf)
+
+        def leafy() -> tuple[Jit, ...]:
+            leaves = along(layer.geometry, layer.outgoing, ray, until, partial(crowns.walk, listed))
+            some = leaves.passed < 1.0
+            near = Hit(some, dr.select(some, leaves.distance, 1.0), hit.face, hit.surface)
+            shown = self._medium.at_camera(near, leaves.channels, ray.o, ray.d)
+            seen = (dr.select(some, dr.lerp(b, a, leaves.passed), a) for a, b in zip(values, shown, strict=True))
+            return (leaves.passed, leaves.distance, *seen)
+
+        def bare() -> tuple[Jit, ...]:
+            return (self._mi.Float(1.0), self._mi.Float(0.0), *values)
+
+        # Vectors of rays without crowns pass by.
+        passed, distance, *values = dr.if_stmt((), listed[0] < listed[1], leafy, bare)
         # Of leaves before the sky.
-        alone = ~hit.valid & (leaves.passed < 0.5)
-        seen = Hit(hit.valid | alone, dr.select(alone, leaves.distance, hit.distance), hit.face, hit.surface)
-        return replace(seen, mirrored=hit.mirrored, strong=hit.strong, leaves=1.0 - leaves.passed), values
+        alone = ~hit.valid & (passed < 0.5)
+        seen = Hit(hit.valid | alone, dr.select(alone, distance, hit.distance), hit.face, hit.surface)
+        return replace(seen, mirrored=hit.mirrored, strong=hit.strong, leaves=1.0 - passed, alone=alone), values
 
     def _read(self, cell: Footprint, reading: Reading, at: LayerHit) -> list[Jit]:
         """[whether the light on the face is strong, texel and row as of `mirrors.met`, mean channels over the cell]."""

@@ -17,6 +17,7 @@ the scene's mirrors. Glint of the sun is left out.
 """
 
 from collections.abc import Sequence
+from functools import partial
 
 import drjit as dr
 import numpy as np
@@ -101,7 +102,8 @@ def _reflected(
 
     reflected = by(seen, length)
     if first.geometry.crowns is not None:
-        leaves = along(first.geometry, first.outgoing, mi.Ray3f(origin, direction), length)
+        walk = partial(first.geometry.crowns.walk, coherent=True)
+        leaves = along(first.geometry, first.outgoing, mi.Ray3f(origin, direction), length, walk)
         some = leaves.passed < 1.0
         shown = by(leaves.channels, dr.select(some, leaves.distance, np.inf))
         reflected = [dr.select(some, dr.lerp(b, a, leaves.passed), a) for a, b in zip(reflected, shown, strict=True)]

@@ -227,10 +227,11 @@ def _trunks(trunk: Floats, sides: int, lengths: int) -> tuple[Floats, NDArray[np
 
 
 def write_bodies(
-    folder: Path, every: "dict[tuple[str, str], Bodies]", down_m: float = 0.0, temperature: str | float = "balance"
-) -> list[dict[str, Any]]:
+    folder: Path, every: "dict[tuple[str, str], Bodies]", down_m: float = 0.0, temperature: str | float = "balance",
+    inferred: bool = False,
+) -> list[dict[str, Any]]:  # fmt: skip
     """Write tables of bodies into a scene's folder; return the [[object]] tables of scene.toml. `down_m` is taken from
-    their heights; `temperature` is of those without temperatures of their own."""
+    their heights; `temperature` is of those without temperatures of their own; `inferred` is a key of the tables."""
     if not every:
         return []
     (folder / _FOLDER).mkdir(exist_ok=True)
@@ -242,10 +243,11 @@ def write_bodies(
         if bodies.kelvin is not None:
             warm = f"{_FOLDER}/{bodies.name}_kelvin.csv.gz"
             write_text(folder / warm, _csv(KELVIN, bodies.kelvin, ",".join(["%.2f"] * len(KELVIN))))
+        flags = {"inferred": inferred, "solved": bodies.kelvin is not None}
         tables.append({
             "name": bodies.name, "shape": bodies.shape, "instances": file, "position": [0.0, 0.0, 0.0],
             "leaf_area_1_m": DENSITY, "temperature": warm, "material": bodies.material,
-            **({} if bodies.kelvin is None else {"solved": True}),
+            **dict.fromkeys([name for name, true in flags.items() if true], True),
         })  # fmt: skip
     return tables
 

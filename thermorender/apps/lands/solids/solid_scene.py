@@ -111,8 +111,9 @@ def write_solid(folder: Path, solid: CityModel, tables: dict[str, Any], leaf_k: 
         surfaces.append({"name": ROOFS, "material": ROOF})
     frame = solid.frame
     place = {"latitude_deg": frame.latitude_deg, "longitude_deg": frame.longitude_deg, "height_m": frame.height_m}
+    warm = "balance" if leaf_k is None else leaf_k
     return tables | {
         "terrain": {"mesh": MESH}, "frame": place, "surface": surfaces,
         "emissivity": tables["emissivity"] | {"classes": solid.classes},
-        "object": write_bodies(folder, solid.plants, temperature="balance" if leaf_k is None else leaf_k) or None,
+        "object": write_bodies(folder, solid.plants, temperature=warm, inferred=True) or None,
     }  # fmt: skip
