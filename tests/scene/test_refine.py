@@ -108,6 +108,20 @@ def test_ground_beneath_a_sheet_in_the_air_is_cut(tmp_path):
     assert near.sum() > 100 and longest(ground[near]).max() <= 2.0 / 16 + 1e-6
 
 
+@pytest.mark.parametrize("at_once", [7, 1 << 20])
+def test_heights_of_a_plane_are_found_a_part_at_a_time(tmp_path, monkeypatch, at_once):
+    monkeypatch.setattr("thermorender.scene.ground._FACES_AT_ONCE", at_once)
+    surface = tr.load_scene(write_terrain(tmp_path / "a")).surfaces[0]
+    vertices = surface.vertices.copy()
+    vertices[:, 2] = 0.3 * vertices[:, 0] - 0.2 * vertices[:, 1]
+    ground = Ground([replace(surface, vertices=vertices)])
+    east, north = np.random.default_rng(2).uniform(-3.0, 3.0, (2, 10, 50))
+    east[0, 0] = 1e4
+    found = ground(east, north)
+    assert np.isnan(found[0, 0]) and ground(np.empty(0), np.empty(0)).shape == (0,)
+    np.testing.assert_allclose(found.ravel()[1:], (0.3 * east - 0.2 * north).ravel()[1:], atol=1e-9)
+
+
 def test_a_finely_cut_spot_leaves_few_bins_to_large_triangles(tmp_path):
     """Ten thousand triangles of 1 mm in a plane of two of 100 m, which would be in 10⁹ bins of their size."""
     corner = np.array([[0.0, 0, 0], [100, 0, 10], [0, 100, 0], [100, 0, 10], [100, 100, 10], [0, 100, 0]])
