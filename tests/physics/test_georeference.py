@@ -5,8 +5,9 @@ import pytest
 from rasterio.crs import CRS
 from rasterio.warp import transform
 
+from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame, ecef_from_geodetic, geodetic_from_ecef
-from thermorender.scene.georeference import pose_from_map
+from thermorender.scene.georeference import definition, pose_from_map
 
 
 def test_ecef_against_proj():
@@ -40,3 +41,9 @@ def test_map_pose_is_rotated_by_the_grid_convergence():
     # West of the central meridian grid north points west of true north.
     assert np.arctan2(grid_north[0], grid_north[1]) == pytest.approx(convergence, abs=1e-6)
     np.testing.assert_allclose(local[:3, 3], [0.0, 0.0, 50.0], atol=1e-3)
+
+
+def test_a_malformed_coordinate_system_is_refused():
+    text = CRS.from_epsg(32632).to_wkt().replace('AUTHORITY["EPSG","9001"]', 'AUTHORITY[,"EPSG","9001"]')
+    with pytest.raises(ThermorenderError, match=r"coordinate system 'PROJCS.* is malformed; give the file one by its"):
+        definition(CRS.from_wkt(text))

@@ -39,12 +39,23 @@ def geodetic_from_map(crs: Any, points: ArrayLike) -> NDArray[np.float64]:
     return found
 
 
+def definition(crs: Any) -> dict[str, Any]:
+    """The PROJJSON of a rasterio CRS."""
+    try:
+        found: dict[str, Any] = crs.to_dict(projjson=True)
+    except ValueError:  # PROJ writes what is no JSON for some damaged WKT
+        raise ThermorenderError(
+            f"the coordinate system {crs.to_string()[:60]!r} is malformed; give the file one by its EPSG code"
+        ) from None
+    return found
+
+
 @lru_cache(maxsize=8)
 def _with_heights(crs: Any) -> Any:
     """The CRS with an axis of heights above its ellipsoid. Without it, PROJ leaves heights out of a change of datum."""
     from rasterio.crs import CRS
 
-    found = crs.to_dict(projjson=True)
+    found = definition(crs)
     parts = [found]
     for part in parts:
         parts += [part[name] for name in ("base_crs", "source_crs", "target_crs") if name in part]

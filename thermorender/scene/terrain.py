@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
+from thermorender.scene.georeference import definition
 from thermorender.scene.raster import Grid, grid_of, lon_lat, opened, read_band
 
 # Metres in a unit of height, by the names in use; a raster of a map in metres is in metres if it names no unit.
@@ -71,7 +72,7 @@ def metres_of_heights(path: Path, crs: Any, unit: str, declare: str) -> float:
     `declare` says in messages how to declare it.
     """
     map_unit = crs.linear_units if crs.is_projected else "metre"
-    crs = crs.to_dict(projjson=True)
+    crs = definition(crs)
     factor = METRES.get(unit.strip().lower()) if unit else None
     if unit and factor is None:
         raise ThermorenderError(f"{path} holds heights in {unit!r}; give metres or feet, or {declare}")
@@ -97,7 +98,7 @@ def metres_of_heights(path: Path, crs: Any, unit: str, declare: str) -> float:
 
 def zero_of_heights(crs: Any) -> str | None:
     """Return the height reference of a CRS: a vertical datum with a code, "the ellipsoid", or None if unstated."""
-    found = crs.to_dict(projjson=True)
+    found = definition(crs)
     found = found.get("source_crs", found)
     for part in found.get("components", [found]):
         if any(axis["direction"] == "up" for axis in part.get("coordinate_system", {}).get("axis", [])):
