@@ -31,7 +31,12 @@ ENDS = (0.5, 99.5)
 def village(hour=None):
     """The Renderer of the shipped village at its own instant, or at another of its day by the heat balance."""
     scene = tr.load_scene("village")
-    return tr.Renderer(scene if hour is None else scene.with_temperature("balance").at(f"{DAY}T{hour}Z"))
+    return tr.Renderer(scene if hour is None else followed(scene).at(f"{DAY}T{hour}Z"))
+
+
+def followed(scene):
+    """A scene whose temperatures, air and sky follow its hour and weather."""
+    return scene.with_temperature("balance").with_air("weather")
 
 
 def shown(axes, frame, label=True):
@@ -99,9 +104,7 @@ def metal():
 
 def rain():
     """An afternoon of rain."""
-    scene = (
-        tr.load_scene("village").with_temperature("balance").with_weather(cloud=1.0, air_low_c=11.0, air_high_c=14.0)
-    )
+    scene = followed(tr.load_scene("village")).with_weather(cloud=1.0, air_low_c=11.0, air_high_c=14.0)
     wet = scene.weather
     rain = np.where((wet.time > np.datetime64(f"{DAY}T06:00")), 2.0, 0.0)
     one("rain", tr.Renderer(scene.with_weather(replace(wet, rain_mm_h=rain))).frame(
@@ -111,7 +114,8 @@ def rain():
 def river():
     """The pond as a smooth surface, which mirrors trees and sky."""
     scene = village("04:10").scene.with_material(water="water_fresnel")
-    one("water", tr.Renderer(scene).frame(tr.pose(-10, 20, 9, look_at=(5, 60, 0))))
+    level = float(scene.ground(-19.0, 71.0))
+    one("water", tr.Renderer(scene).frame(tr.pose(21, 51, level + 10, look_at=(-19, 71, level))))
 
 
 def fire():
