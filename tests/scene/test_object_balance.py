@@ -68,7 +68,10 @@ def test_shares_name_parts_of_one_texture(tmp_path):
     ("keys", "words"),
     [
         ({"track": "track.csv"}, r"object 'van'.temperature='balance' is not allowed; give it to what stands still"),
-        ({"track": "track.csv", "temperature": 300.0, "solved": True}, r"object 'van'.solved=.* it without track only"),
+        (
+            {"track": "track.csv", "temperature": 300.0, "follows_balance": True},
+            r"object 'van'.follows_balance=.* it without track only",
+        ),
         ({"temperature": 300, "inner_heat_w": 5}, r"inner_heat_w=5.0 is not allowed; give it with temperature='bal"),
         ({"instances": "places.csv", "inner_heat_w": 5}, r"inner_heat_w=5.0 is not .*and without instances"),
         ({"inner_heat_w": -1}, r"inner_heat_w=-1 is not allowed; give a number 0…1e\+09 W"),
@@ -118,8 +121,8 @@ def test_materials_in_memory_keep_the_balance_of_objects(tmp_path):
         scene.with_surfaces(scene.surfaces)
 
 
-def test_a_solved_temperature_follows_a_heat_balance_and_no_other_source(tmp_path):
-    file = write(tmp_path / "s", file="m.obj", temperature=301.0, solved=True, inner_heat_w=700.0)
+def test_kelvin_with_the_key_follow_a_heat_balance_and_no_other_source(tmp_path):
+    file = write(tmp_path / "s", file="m.obj", temperature=301.0, follows_balance=True, inner_heat_w=700.0)
     balanced = tr.load_scene(file)
     # The file's own source is the heat balance: as if the object had "balance".
     asked = tr.load_scene(write(tmp_path / "b", file="m.obj", inner_heat_w=700.0))
@@ -137,8 +140,9 @@ def test_a_solved_temperature_follows_a_heat_balance_and_no_other_source(tmp_pat
     assert (stated.surfaces[1].temperature == 310.0).all()
 
 
-def test_solved_crowns_follow_a_heat_balance(tmp_path):
-    crown = scene_object("tree", [2, 2, 2], [0, 0, 3], 301.0, "broadleaf", "sphere", leaf_area_1_m=1.0, solved=True)
+def test_crowns_with_the_key_follow_a_heat_balance(tmp_path):
+    keys = {"leaf_area_1_m": 1.0, "follows_balance": True}
+    crown = scene_object("tree", [2, 2, 2], [0, 0, 3], 301.0, "broadleaf", "sphere", **keys)
     scene = tr.load_scene(write_balance(tmp_path / "s", WEATHER + crown)).with_temperature(290.0)
     assert (scene.surfaces[1].temperature == 301.0).all()
     assert np.isnan(scene.with_temperature("balance").surfaces[1].temperature).all()

@@ -285,12 +285,12 @@ def _changed_weather(spec: WeatherSpec | None, keys: Mapping[str, Any], now: Dec
 
 
 def objects_under(source: str, objects: Sequence[ObjectSpec], file: "SceneSpec | None") -> tuple[ObjectSpec, ...]:
-    """Return ObjectSpecs with the key `solved` as a heat balance of the terrain solves them, else at the kelvin of the
-    scene's file.
+    """Return ObjectSpecs; those with the key `follows_balance` are solved by a heat balance of the terrain, else they
+    have the kelvin of the scene's file.
     """
     known = {} if file is None else {item.name: item.temperature for item in file.objects}
     return tuple(
-        replace(item, temperature=None if source == BALANCE else known.get(item.name)) if item.solved else item
+        replace(item, temperature=None if source == BALANCE else known.get(item.name)) if item.follows_balance else item
         for item in objects
     )
 
@@ -311,7 +311,7 @@ def changed_object(item: ObjectSpec, values: Mapping[str, Any]) -> ObjectSpec:
             found["temperature"] = None
         elif column == "temperature_k":
             found["temperature"] = scene_kelvin(what, number_of(what, with_unit(value), f" of kelvin, or {BALANCE!r}"))
-            found |= {"solved": False, _INNER: found.get(_INNER, 0.0)}
+            found |= {"follows_balance": False, _INNER: found.get(_INNER, 0.0)}
         elif column in ("yaw_deg", _INNER):
             found[column] = number_of(what, value)
         else:

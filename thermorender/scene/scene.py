@@ -505,8 +505,8 @@ class Scene:
         source: "TemperatureSpec | Number | str | PathLike[str] | TemperatureMap | Mapping[str, Any]",
         model: TemperatureMap | None = None, kelvin: Sequence[ArrayLike] | None = None,
     ) -> "Scene":  # fmt: skip
-        """Return this scene with its terrain's temperatures from another source. Objects whose temperatures the file
-        calls `solved` follow a heat balance, and have the file's kelvin under any other source.
+        """Return this scene with its terrain's temperatures from another source. Objects with the key
+        `follows_balance` are solved with a heat balance, and have the file's kelvin under any other source.
 
         Parameters
         ----------

@@ -293,8 +293,8 @@ class ObjectSpec:
     upright: bool | None = key(flag, None)
     # Kelvin, or of crowns a table; None is solved by the heat balance.
     temperature: "float | Path | None" = key(kelvin_of_object)
-    # Whether that is a solution of the heat balance, solved anew where the terrain's temperatures come from one.
-    solved: bool = key(flag, False)
+    # Whether the heat balance solves it in place of that where the terrain's temperatures come from one.
+    follows_balance: bool = key(flag, False)
     material: str = key(text)
     # Heat that enters the sheets from within, such as an engine's, and its shares by parts of the mesh's file; without
     # shares it is even over the area.
@@ -329,8 +329,8 @@ class ObjectSpec:
             where.of("temperature").refuse(
                 str(self.temperature), "a table with leaf_area_1_m and instances only, for each of these crowns"
             )
-        if self.solved and self.track:
-            where.of("solved").refuse(True, "it without track only: the heat balance solves what stands still")
+        if self.follows_balance and self.track:
+            where.of("follows_balance").refuse(True, "it without track only: the heat balance solves what stands still")
         if self.temperature is None and self.track:
             where.of("temperature").refuse(
                 BALANCE, "it to what stands still only: kelvin here or temperature_k in its track, or leave track out"
@@ -339,11 +339,11 @@ class ObjectSpec:
 
     def _check_inner_heat(self, where: Where) -> None:
         """Refuse inner heat that no temperature follows, and shares of parts that are none."""
-        balanced = self.temperature is None or self.solved
+        balanced = self.temperature is None or self.follows_balance
         if self.inner_heat_w and (not balanced or self.instances or self.leaf_area_1_m):
             where.of("inner_heat_w").refuse(
                 self.inner_heat_w,
-                "it with temperature='balance' or solved = true only, and without instances and leaf_area_1_m",
+                "it with temperature='balance' or follows_balance = true only, and without instances and leaf_area_1_m",
             )
         if self.inner_heat_share and not self.file:
             where.of("inner_heat_share").refuse(dict(self.inner_heat_share), "it with file only, whose parts it names")

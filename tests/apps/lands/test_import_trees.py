@@ -10,7 +10,10 @@ from thermorender.apps.lands.import_settings import ImportSettings, ThreeD
 from thermorender.apps.lands.import_terrain import import_terrain
 from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
+from thermorender.learned.apply import kinetic_from_map
+from thermorender.learned.temperature_map import Inputs, load_model
 from thermorender.scene.crowns import Crowns
+from thermorender.scene.spec import read_scene
 
 SIDE, POST_M, CORNER = 120, 0.5, (500000.0, 5780000.0)
 TIME = "2018-07-15T11:00Z"
@@ -123,3 +126,27 @@ def test_crowns_of_many_trees_have_fewer_lobes(wood, monkeypatch):
     assert len(few) <= 72 < len(many)
     area = [(body.density * body.volume).sum() for body in (many, few)]
     assert area[0] == pytest.approx(area[1], rel=0.01)
+
+
+def test_crowns_without_weather_have_the_temperatures_that_the_map_has_for_their_colour(wood):
+    folder, _, _ = wood
+    rng = np.random.default_rng(2)
+    picture = np.clip(rng.normal([70, 110, 50], 12.0, (120, 120, 3)), 0, 255).astype(np.uint8)
+    write_raster(folder / "o.tif", picture.transpose(2, 0, 1), 0.5, corner=CORNER, photometric="RGB")
+    import_terrain(folder / "dsm.tif", folder / "o.tif", folder / "pictured", ImportSettings(),
+                   ThreeD(folder / "dem.tif"))  # fmt: skip
+    scene = tr.load_scene(folder / "pictured")
+    surface, body = crowns_of(scene)
+    material = scene.materials[surface.material.flat[0]]
+    for number in (0, len(body) - 1):
+        flat = np.full((9, 9, 3), surface.colour.reshape(-1, 3)[8 * number], np.uint8)
+        seen, *_ = kinetic_from_map(load_model("fok-1to1"), Inputs(flat), np.zeros((9, 9), np.uint8), [material])
+        np.testing.assert_allclose(surface.temperature.ravel()[8 * number : 8 * number + 8], seen[4, 4], atol=0.02)
+    # They follow a heat balance, once there is a weather.
+    station = read_scene(folder / "s").weather
+    balanced = scene.with_weather(station).with_temperature("balance")
+    assert np.isnan(crowns_of(balanced)[0].temperature).all()
+    plain = import_wood(folder, "unpictured")
+    assert plain["trees"] == 36
+    bare = tr.load_scene(folder / "unpictured")
+    assert set(crowns_of(bare)[0].temperature.ravel()) == set(bare.main_surface.temperature.ravel())

@@ -314,7 +314,7 @@ def _solved(objects: Sequence[dict[str, Any]], kelvin: dict[str, float]) -> tupl
     known = []
     for item in objects:
         if item["name"] in kelvin:
-            item = {**item, "temperature": round(kelvin[item["name"]], 1), "solved": True}
+            item = {**item, "temperature": round(kelvin[item["name"]], 1), "follows_balance": True}
         known.append(item)
     return tuple(known)
 

@@ -243,7 +243,7 @@ def write_bodies(
         if bodies.kelvin is not None:
             warm = f"{_FOLDER}/{bodies.name}_kelvin.csv.gz"
             write_text(folder / warm, _csv(KELVIN, bodies.kelvin, ",".join(["%.2f"] * len(KELVIN))))
-        flags = {"inferred": inferred, "solved": bodies.kelvin is not None}
+        flags = {"inferred": inferred, "follows_balance": warm != "balance"}
         tables.append({
             "name": bodies.name, "shape": bodies.shape, "instances": file, "position": [0.0, 0.0, 0.0],
             "leaf_area_1_m": DENSITY, "temperature": warm, "material": bodies.material,

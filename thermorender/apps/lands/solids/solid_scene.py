@@ -15,7 +15,11 @@ from thermorender.apps.lands.solids.outlines import outlines_in, outlines_in_cla
 from thermorender.apps.lands.solids.plants import write_bodies, write_leaf_tables
 from thermorender.apps.lands.solids.textured_mesh import MESH, write_meshes
 from thermorender.errors import ThermorenderError
+from thermorender.learned.apply import kinetic_from_map
+from thermorender.learned.even import even
+from thermorender.learned.temperature_map import Inputs, load_model
 from thermorender.materials.library import find, load_library
+from thermorender.scene.crowns import KELVIN
 from thermorender.scene.mapped_cover import read_mapped_cover
 from thermorender.scene.raster import Grid, onto
 from thermorender.scene.terrain import doubtful_zeros, filled, read_elevation, zero_of_heights
@@ -111,9 +115,20 @@ def write_solid(folder: Path, solid: CityModel, tables: dict[str, Any], leaf_k: 
         surfaces.append({"name": ROOFS, "material": ROOF})
     frame = solid.frame
     place = {"latitude_deg": frame.latitude_deg, "longitude_deg": frame.longitude_deg, "height_m": frame.height_m}
-    warm = "balance" if leaf_k is None else leaf_k
+    warm, source = "balance" if leaf_k is None else leaf_k, tables["temperature"]
+    if source["source"] == "learned":
+        _map_leaves(solid, source["model"])
     return tables | {
         "terrain": {"mesh": MESH}, "frame": place, "surface": surfaces,
         "emissivity": tables["emissivity"] | {"classes": solid.classes},
         "object": write_bodies(folder, solid.plants, temperature=warm, inferred=True) or None,
     }  # fmt: skip
+
+
+def _map_leaves(solid: CityModel, model: str) -> None:
+    """Give crowns the temperatures that a learned map has for even areas of their colours."""
+    seen, known = even(load_model(model)), load_library()
+    for bodies in solid.plants.values():
+        rgb = bodies.rows[:, None, -3:].astype(np.uint8)
+        kelvin, *_ = kinetic_from_map(seen, Inputs(rgb), np.zeros(rgb.shape[:2], np.uint8), [known[bodies.material]])
+        bodies.kelvin = np.repeat(kelvin, len(KELVIN), axis=1)
