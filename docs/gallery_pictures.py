@@ -113,15 +113,16 @@ def rain():
 
 def river():
     """The pond as a smooth surface, which mirrors trees and sky."""
-    scene = village("04:10").scene.with_material(water="water_fresnel")
+    scene = village().scene.with_material(water="water_fresnel")
     level = float(scene.ground(-19.0, 71.0))
-    one("water", tr.Renderer(scene).frame(tr.pose(21, 51, level + 10, look_at=(-19, 71, level))))
+    one("water", tr.Renderer(scene).frame(tr.pose(-19, 116, level + 10, look_at=(-19, 71, level))))
 
 
 def fire():
     """The signal fire beside the hut on the ridge."""
     scene = tr.load_scene("ridge")
-    one("fire", tr.Renderer(scene).frame(scene.pose(-60, -300, 60, look_at=(-95, -220, 1500))))
+    level = float(scene.ground(-95.0, -220.0))
+    one("fire", tr.Renderer(scene).frame(tr.pose(150, -430, level + 150, look_at=(-97, -219, level))))
 
 
 def haze():
