@@ -132,11 +132,12 @@ def haze():
 
 
 def snow():
-    """A ridge of rasters in snow."""
+    """A winter day over a heath of rasters."""
+    winter = {"time": "2018-01-17T11:00Z", "air_low_c": -12.0, "air_high_c": -3.0, "snow_depth_m": 0.3}
     with TemporaryDirectory() as folder:
-        weather = weather_of("ridge", snow_depth_m=0.2, air_low_c=-12.0, air_high_c=-4.0)
-        scene = tr.load_scene(write(make("ridge", weather=weather), Path(folder) / "snow"))
-        one("snow", tr.Renderer(scene).frame(scene.pose(0, -500, 200, pitch_deg=-35)))
+        made = make("heath", size_m=200.0, weather=weather_of("heath", **winter))
+        scene = tr.load_scene(write(made, Path(folder) / "snow"))
+        one("snow", tr.Renderer(scene).frame(scene.pose(0, 0, 110, pitch_deg=-90)))
 
 
 ALL = (front, noon, night, metal, rain, river, fire, haze, snow)
