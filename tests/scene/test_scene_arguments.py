@@ -12,6 +12,7 @@ from scenes import CAMERA, MARKER, WEATHER, frame_of, scene_object, write_balanc
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance
+from thermorender.scene.load import scene_folder
 from thermorender.scene.spec import AtmosphereSpec, EmissivitySpec, TemperatureSpec, WeatherSpec
 
 LATER = "2018-07-28T15:00Z"
@@ -223,3 +224,14 @@ def test_a_temperature_below_100_k_needs_its_unit(tmp_path):
             edit()
     with pytest.raises(ThermorenderError, match="'cold' is not allowed; give a finite number"):
         scene.with_sky("cold")
+
+
+def test_a_part_of_a_users_folder_is_not_a_shipped_scene(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shipped = scene_folder("village/survey")
+    assert shipped.parent == scene_folder("village") and shipped.is_absolute()
+    with pytest.raises(ThermorenderError, match=r"scene './village/survey' does not exist"):
+        scene_folder("./village/survey")
+    (tmp_path / "village").mkdir()
+    with pytest.raises(ThermorenderError, match=r"scene 'village/survey' does not exist"):
+        scene_folder("village/survey")

@@ -324,8 +324,13 @@ def test_a_truth_raster_is_valid_at_the_scenes_own_instant(tmp_path):
     scene = tr.load_scene(write_terrain(tmp_path / "tiny", extra=DAY))
     assert scene.with_true_temperature().spec.temperature.source == "raster"
     assert scene.at(NOON).spec.truth_temperature is not None
-    with pytest.raises(ThermorenderError, match=r"has no truth.temperature"):
+    with pytest.raises(ThermorenderError, match=r"its truth is of 2018-07-28T14:30:00Z .* leave time and weather"):
         scene.at(NOON + MINUTE).with_true_temperature()
+    balanced = scene.with_temperature("balance").at(NOON + MINUTE)
+    assert balanced.with_true_temperature().balanced
+    plain = tr.load_scene(write_balance(tmp_path / "plain", DAY, 'source = "constant"\nvalue = 290.0'))
+    with pytest.raises(ThermorenderError, match=r"has no truth.temperature; name a raster"):
+        plain.with_true_temperature()
 
 
 def test_too_little_weather_before_the_instant_gives_a_warning(scene):
@@ -535,7 +540,9 @@ def test_impossible_days_are_refused(scene, tmp_path, simulations):
         with pytest.raises(ThermorenderError, match=f"step_min={step} is not allowed; give minutes from 5 to 720"):
             day(scene, pose, tmp_path / "d", step)
     constant = scene.with_temperature(TemperatureSpec("constant", value=300.0))
-    with pytest.raises(ThermorenderError, match=r"a day needs temperature.source='balance'"):
+    with pytest.raises(
+        ThermorenderError, match=r"a day needs temperatures that follow the hour .* give the temperature 'balance'"
+    ):
         day(constant, pose, tmp_path / "d")
     scene = scene.with_weather(StandIn(NOON + 60 * MINUTE * np.arange(-3, 4), 21.0))
     with pytest.raises(ThermorenderError, match="is not all inside its weather, 2018-07-28T11:30:00Z to"):
@@ -578,7 +585,10 @@ def test_a_warning_for_an_hour_that_changes_nothing(tmp_path, call):
     with warnings.catch_warnings():
         warnings.simplefilter("always", ThermorenderWarning)
         status, _, errors = call("plan", folder, "--time", "2018-07-28T18:00Z")
-    assert status == 0 and "note: temperatures of source 'raster' do not change with time" in errors
+    assert (
+        status == 0
+        and "note: temperatures of source 'raster' do not change with time; those of a heat balance do" in errors
+    )
 
 
 @pytest.mark.slow

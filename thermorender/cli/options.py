@@ -188,10 +188,14 @@ def _one_material(scene: "Scene") -> str | None:
 
 @dataclass(frozen=True)
 class TemperatureOptions:
-    """A learned map in place of the scene's own source of temperatures."""
+    """Another source of temperatures in place of the scene's own."""
 
     temperature: Annotated[
-        str | None, typer.Option(help="Learned map that gives the temperatures in place of the scene's own source.")
+        str | None,
+        typer.Option(
+            help="Learned map that gives the temperatures in place of the scene's own source, or balance: the "
+            "heat balance under the scene's weather."
+        ),
     ] = None
     range_c: Annotated[
         str | None, typer.Option(help="COLD,WARM: °C of intensity 0 and 1 of a learned map.", rich_help_panel="scene")
@@ -200,9 +204,11 @@ class TemperatureOptions:
     def source(self) -> "TemperatureSpec | None":
         """Return the source of temperatures; None for the scene's own."""
         from thermorender.numbers import parse_numbers
-        from thermorender.scene.spec import TemperatureSpec
+        from thermorender.scene.spec import BALANCE, TemperatureSpec
 
-        if self.temperature:
+        if self.temperature == BALANCE and not self.range_c:
+            return TemperatureSpec(source=BALANCE)
+        if self.temperature and self.temperature != BALANCE:
             limits: Any = parse_numbers("--range-c", self.range_c, ("COLD", "WARM")) if self.range_c else None
             return TemperatureSpec(source="learned", model=self.temperature, range_c=limits)
         if self.range_c:

@@ -265,6 +265,7 @@ def day(
     look: DisplayOptions,
     thermography: Thermography = None,
     air: Air = None,
+    source: TemperatureOptions,
     seed: Seed = 0,
     sampling: SamplingOptions,
     device: Device = "auto",
@@ -278,7 +279,7 @@ def day(
     wanted = frame_files.check(split(products), settings)
     view.numbers()
     with progress() as report:
-        loaded = SceneOptions(time, air).load(scene, None, instant_of, report)
+        loaded = SceneOptions(time, air).load(scene, source.source(), instant_of, report)
         model = getattr(loaded.temperature_state.source, "model", None)
         if model is not None:
             warn(model.texel_warning(loaded.main_surface.texel_m))

@@ -148,8 +148,8 @@ def _times(scene: "Scene", step_min: int) -> NDArray[np.datetime64]:
     """The instants of the day's frames."""
     if not scene.temperature_state.weather_driven or scene.time is None:
         raise ThermorenderError(
-            f"{scene.where}: a day needs temperature.source='balance', or a map with [temperature.trained], whose "
-            f"temperatures depend on the hour, not {scene.spec.temperature.source!r}; set one and add [weather]"
+            f"{scene.where}: a day needs temperatures that follow the hour and [weather]; give the temperature "
+            "'balance', or a map with [temperature.trained]"
         )
     if not (5 <= step_min <= 720 and _DAY_MIN % step_min == 0):
         raise ThermorenderError(

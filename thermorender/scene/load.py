@@ -35,7 +35,9 @@ def scene_folder(name: str | PathLike[str]) -> Path:
         return path
     shipped = data_folder("scenes")
     found = {item.parent.relative_to(shipped).as_posix(): item.parent for item in shipped.rglob("scene.toml")}
-    if path.as_posix() in found:
+    # A path, or a part of the user's own folder, is not taken for a shipped scene.
+    own = str(name).startswith(".") or (len(path.parts) > 1 and os.path.lexists(path.parts[0]))
+    if path.as_posix() in found and not own:
         return found[path.as_posix()]
     known = ", ".join(sorted(found))
     what = "holds no scene.toml" if os.path.isdir(path) else "is a file" if os.path.exists(path) else "does not exist"

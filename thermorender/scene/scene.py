@@ -228,6 +228,11 @@ class Scene:
         """
         truth, file = self.spec.truth_temperature, self._declared.of_file
         if truth is None and not self.balanced:
+            if file is not None and file.truth_temperature is not None and file.weather is not None:
+                raise ThermorenderError(
+                    f"{self.where}: its truth is of {utc_text(file.weather.time)} and the weather of the file, not of "
+                    "this scene's; leave time and weather as they are, or give the temperature 'balance'"
+                )
             raise ThermorenderError(
                 f"{self.where} has no truth.temperature; name a raster of kelvin there, or true where the temperatures "
                 "of the file are true"
@@ -495,10 +500,11 @@ class Scene:
 
     def _warn_of_fixed_temperatures(self, what: str) -> None:
         if not self.temperature_state.weather_driven:
-            warnings.warn(
-                f"temperatures of source {self.spec.temperature.source!r} do not change with {what}",
-                ThermorenderWarning, stacklevel=3,
-            )  # fmt: skip
+            # A mesh may have temperatures for each of its surfaces.
+            parts = any(part.temperature is not None for part in self.spec.surfaces)
+            source = "of its surfaces" if parts else f"of source {self.spec.temperature.source!r}"
+            follow = "; those of a heat balance do: give the temperature 'balance'" if self.spec.weather else ""
+            warnings.warn(f"temperatures {source} do not change with {what}{follow}", ThermorenderWarning, stacklevel=3)
 
     def with_temperature(
         self,

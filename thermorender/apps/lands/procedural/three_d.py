@@ -75,8 +75,8 @@ def make_world(
     """Return a procedural scene in three dimensions; arguments, layout and seeds are those of `make`."""
     if weather is not None and weather.snow_depth_m:
         raise ThermorenderError(
-            f"snow_depth_m={weather.snow_depth_m:g}: snow on walls and crowns is not modelled; give 0, or make a "
-            "draped scene"
+            f"snow_depth_m={weather.snow_depth_m:g}: snow on walls and crowns is not modelled; give 0 (a weather "
+            "drawn from a seed may have some), or make a draped scene"
         )
     made = painted(kind, seed, size_m, texel_m, post_m, time, weather, again, solid=True)
     canvas, solids = made.canvas, made.canvas.solids
