@@ -43,7 +43,10 @@ def main(out: Path, count: int, names: list[str]) -> int:
                 break
             part = out / "part.json"
             part.unlink(missing_ok=True)
-            ended = subprocess.run([sys.executable, "-m", __spec__.name, "--one", out, name, str(rest), str(seed)])
+            # Each thread of a library would take 64 MiB of the address space that `_MOST_BYTES` limits.
+            few = os.environ | {"MALLOC_ARENA_MAX": "2"}
+            one = [sys.executable, "-m", __spec__.name, "--one", out, name, str(rest), str(seed)]
+            ended = subprocess.run(one, env=few)
             found.update(json.loads(part.read_text()) if part.exists() else {})
             # An input that hangs in foreign code, or ends the process, ends libFuzzer too.
             found.update({} if ended.returncode == 0 else {"hung" if ended.returncode == _HUNG else "crashed": 1})
