@@ -15,7 +15,7 @@ import thermorender as tr
 from thermorender.apps.lands.procedural.buildings import ROOFS, Window, house
 from thermorender.apps.lands.procedural.canvas import Canvas
 from thermorender.apps.lands.procedural.solids import Solids
-from thermorender.apps.lands.procedural.three_d import SURVEY, _frame, _grid, _positions, make_world, write
+from thermorender.apps.lands.procedural.three_d import SURVEY, _frame, _grid, _positions, _standing, make_world, write
 from thermorender.apps.lands.solids.quads import Quads
 from thermorender.apps.lands.solids.textured_mesh import TexturedMesh, write_kelvin, write_mesh
 from thermorender.errors import ThermorenderError
@@ -272,3 +272,13 @@ def test_a_sheet_has_one_scale_of_grey_for_both_scenes_and_none_for_the_sky():
     kelvin = [260.0 + 40.0 * (0.01 + 0.98 * grey / 255.0) for grey in (draped, solid)]
     assert kelvin[0][:, 2:].ravel() == pytest.approx(np.nan_to_num(cold)[:, 2:].ravel(), abs=0.2)
     assert kelvin[1][:, :-5].ravel() == pytest.approx(warm[:, :-5].ravel(), abs=0.2)
+
+
+def test_objects_stand_on_the_ground_and_not_within_buildings():
+    """A greenhouse of 4 m over the east, heather of 0.3 m in the west, on ground of 100 m."""
+    ground = lambda east, north: np.float64(100.0)  # noqa: E731
+    highest = lambda east, north: np.float64(104.0 if east > 0.0 else 100.3)  # noqa: E731
+    places = {"car_0": -9.0, "car_0_roof": -9.0, "car_1": -0.5, "car_1_bonnet": 0.5, "car_10": -8.0, "marker": -3.0}
+    items = [{"name": name, "position": [east, 1.0, 0.5]} for name, east in places.items()]
+    found = {item["name"]: item["position"][2] for item in _standing(items, (highest, ground))}
+    assert found == pytest.approx(dict.fromkeys(("car_0", "car_0_roof", "car_10", "marker"), 0.2))

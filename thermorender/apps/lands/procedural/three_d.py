@@ -4,6 +4,7 @@ The survey is a scene of rasters: the highest surface under each texel, with its
 So the same world exists twice, and the draped one can be judged against the other.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -48,6 +49,8 @@ _LOOKS = ((0.0, 0.0), (-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)
 GROUND, BUILDINGS, TRUNKS = "ground", "buildings", "trunks"
 # Points of a side between which map positions are interpolated.
 _LATTICE = 33
+# What stands higher on the ground is no place for an object [m].
+_LOW_M = 1.0
 # Distance of the ground's posts in those of the survey, and its least [m]: walls and crowns are not in the ground, so
 # that it is smooth.
 _POSTS, _POST_M = 2.0, 2.0
@@ -138,7 +141,7 @@ def write(world: World, directory: str | Path, overwrite: bool = False, progress
     """Write a World as a scene with its true temperatures, and its survey as a scene in `survey`; return the folder."""
     scene, frame, meshes = world.scene, _frame(world.scene), _on_frame(world)
     heights = Ground(meshes), Ground(meshes[:1])  # type: ignore[arg-type]
-    scene = replace(scene, objects=tuple(_standing(item, heights) for item in scene.objects))
+    scene = replace(scene, objects=_standing(scene.objects, heights))
     flight = scene.flight
     up = flight["above_ground_m"] + heights[1](flight["east_m"], flight["north_m"])
     flight = {("up_m" if key == "above_ground_m" else key): value for key, value in flight.items()} | {"up_m": up}
@@ -154,7 +157,9 @@ def write(world: World, directory: str | Path, overwrite: bool = False, progress
         terrain = Geometry(activate(), [*loaded.surfaces[: loaded.terrain_count], *crowns])
         meshes = _lit(loaded, terrain, meshes, world, geometry)
         kelvin, warm_k, leaves = _true_kelvin(loaded, geometry, world, progress)
-        scene, seen = (replace(each, objects=_solved(each.objects, warm_k)) for each in (scene, world.scene))
+        kept = {item["name"] for item in scene.objects}
+        seen = replace(world.scene, objects=tuple(item for item in world.scene.objects if item["name"] in kept))
+        scene, seen = (replace(each, objects=_solved(each.objects, warm_k)) for each in (scene, seen))
         for bodies in world.plants.values():
             bodies.kelvin = leaves[bodies.name]
         scene = replace(scene, objects=(*scene.objects, *write_bodies(draft, world.plants, frame.height_m)))
@@ -200,11 +205,20 @@ def _on_frame(world: World) -> list[TexturedMesh]:
     return [replace(mesh, vertices=mesh.vertices - down) for mesh in world.meshes]
 
 
-def _standing(item: dict[str, Any], heights: tuple[Ground, Ground]) -> dict[str, Any]:
-    """An object on the ground, though the scene stands objects on the highest surface below them, such as a crown."""
-    east, north, up = item["position"]
-    highest, ground = (each(east, north) for each in heights)
-    return {**item, "position": [east, north, up + float(ground - highest)]}
+def _standing(items: Sequence[dict[str, Any]], heights: tuple[Ground, Ground]) -> tuple[dict[str, Any], ...]:
+    """Objects on the ground, though the scene stands objects on the highest surface below them. Those within a
+    building, as in a small cut of a land, are left out with all their parts, "car_1" with "car_1_roof".
+    """
+    raised = []
+    for item in items:
+        highest, ground = (float(each(*item["position"][:2])) for each in heights)
+        raised.append(highest - ground)
+    whole = lambda item: re.sub(r"(?<=[a-z\d])_[a-z]+$", "", item["name"])  # noqa: E731
+    within = {whole(item) for item, over in zip(items, raised, strict=True) if over > _LOW_M}
+    return tuple(
+        {**item, "position": [*item["position"][:2], item["position"][2] - over]}
+        for item, over in zip(items, raised, strict=True) if whole(item) not in within
+    )  # fmt: skip
 
 
 def _declare(
