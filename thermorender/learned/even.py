@@ -32,14 +32,13 @@ class Even:
         if reach is None:
             rgb = rgb // _STEP * _STEP + _STEP // 2
         colours, at = np.unique(rgb, axis=0, return_inverse=True)
-        found, most = np.empty(len(colours)), max(1, _MOST_PIXELS // side**2)
+        # One below the other: the middle of an area sees no other within the reach. A network sees one at a time.
+        found, most = np.empty(len(colours)), 1 if reach is None else max(1, _MOST_PIXELS // side**2)
         for first in range(0, len(colours), most):
-            some = colours[first : first + most]
-            # One below the other, so that an area's rows are its own; columns are even.
-            for number in range(len(some)) if reach is None else (slice(None),):
-                picture = np.repeat(np.repeat(some[number].reshape(-1, 1, 3), side, axis=0), side, axis=1)
-                values = self._predictor.predict(Inputs(picture, None), texel_m)
-                found[first : first + most][number] = np.squeeze(values[side // 2 :: side, side // 2])
+            some = colours[first : first + most, None]
+            picture = np.repeat(np.repeat(some, side, axis=0), side, axis=1)
+            values = self._predictor.predict(Inputs(picture), texel_m)
+            found[first : first + most] = values[side // 2 :: side, side // 2]
         return found[at.ravel()].reshape(inputs.rgb.shape[:2])
 
 
