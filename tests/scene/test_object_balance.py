@@ -135,9 +135,10 @@ def test_kelvin_with_the_key_follow_a_heat_balance_and_no_other_source(tmp_path)
     again = known.with_temperature("balance")
     assert np.isnan(again.surfaces[1].temperature).all()
     assert again.digest() == balanced.digest()
-    # An edit to "balance" is undone by another source, also after one to kelvin.
-    edited = again.with_objects({"van": 310.0}).with_objects({"van": "balance"}).with_temperature(290.0)
-    assert (edited.surfaces[1].temperature == 301.0).all()
+    # An edit to "balance" keeps the key of the file; after kelvin, which end it, it is asked for as in a file.
+    assert (again.with_objects({"van": "balance"}).with_temperature(290.0).surfaces[1].temperature == 301.0).all()
+    with pytest.raises(ThermorenderError, match="give the object kelvin"):
+        again.with_objects({"van": 310.0}).with_objects({"van": "balance"}).with_temperature(290.0)
     # Kelvin that a user states are no solution.
     stated = again.with_objects({"van": 310.0}).with_temperature(290.0).with_temperature("balance")
     assert (stated.surfaces[1].temperature == 310.0).all()

@@ -308,8 +308,7 @@ def changed_object(item: ObjectSpec, values: Mapping[str, Any]) -> ObjectSpec:
             allowed = ", ".join((*COLUMNS, _INNER))
             raise ThermorenderError(f"object {item.name!r} has no {column!r} to set; give {allowed}")
         if column == "temperature_k" and value == BALANCE:
-            # Under another source of the terrain's it has the kelvin of its file again.
-            found |= {"temperature": None, "follows_balance": item.track is None}
+            found["temperature"] = None
         elif column == "temperature_k":
             found["temperature"] = scene_kelvin(what, number_of(what, with_unit(value), f" of kelvin, or {BALANCE!r}"))
             found |= {"follows_balance": False, _INNER: found.get(_INNER, 0.0)}
