@@ -328,16 +328,43 @@ def test_what_a_fast_view_has_left_behind_is_rendered():
     half_m = 100.0 * 0.5 * camera.height / camera.focal_length_px
 
     def radiance_at(time_s, seen_by=camera, lit_s=None):
-        row = np.arange(camera.height) + 0.5
-        north = path(time_s)[1, 3] + half_m * (1.0 - 2.0 * row / camera.height)
+        row = np.arange(seen_by.height) + 0.5
+        down = seen_by.directions(np.column_stack([np.full(len(row), 0.5 * seen_by.width), row]))[:, 1]
+        north = path(time_s)[1, 3] - 100.0 * down
         warm = 8.0 * np.clip((-north - half_m) / 4.0, 0.0, 1.0) + 2.0 * np.sin(north / 6.0)
-        return np.repeat((K295 + SLOPE * warm)[:, None], camera.width, axis=1).astype(np.float32)
+        return np.repeat((K295 + SLOPE * warm)[:, None], seen_by.width, axis=1).astype(np.float32)
 
     taken = Exposure(Sensor(camera, 0), radiance_at, path, plane_depth(), 1.0 / 30.0)
     signal, how = taken.signal(at_rest(camera), 0.0, radiance_at(0.0))
     error = 1e3 / SLOPE * np.sqrt(np.mean((radiance_of(signal, taken) - followed(taken, radiance_at)) ** 2))
     assert how["motion_px"] > 3.0 and how["renders"] < how["instants"]
     assert error < 45.0 and error < how["lag_mk"] < 5.0 * error, (error, how)
+
+
+@pytest.mark.parametrize("heading", [0.0, 180.0, 90.0])
+def test_strips_beside_the_image_stand_for_whole_images_of_the_past(heading):
+    """Warm ground lies just outside of the frame's own view, which remembers it."""
+    size = {"width": 320, "height": 256, "pixel_pitch_um": 34.0, "row_time_us": 0.0}
+    camera = replace(CAMERA, diffraction=False, blur_sigma_px=0.0, **size)
+    path = lambda t: pose(0.0, 27.0 * t, 100.0, heading, -90.0)  # noqa: E731
+    half_m = 100.0 * 0.5 * (camera.width if heading == 90.0 else camera.height) / camera.focal_length_px
+    cameras = []
+
+    def radiance_at(time_s, seen_by=camera, lit_s=None):
+        cameras.append(seen_by)
+        down, right = np.mgrid[: seen_by.height, : seen_by.width] + 0.5
+        slope = seen_by.directions(np.stack([right, down], axis=-1))
+        # The camera looks down.
+        east, north = path(time_s)[:2, 3, None, None] + 100.0 * np.moveaxis(slope @ path(time_s)[:2, :2].T, -1, 0)
+        warm = 8.0 * np.clip((-north - half_m) / 4.0, 0.0, 1.0) + 2.0 * np.sin(north / 3.0 + east / 4.0)
+        return (K295 + SLOPE * warm).astype(np.float32)
+
+    taken = Exposure(Sensor(camera, 0), radiance_at, path, plane_depth(), 1.0 / 30.0)
+    signal, how = taken.signal(at_rest(camera), 0.0, radiance_at(0.0))
+    assert how["motion_px"] > 1.0 and how["renders"] > 1
+    assert all(min(each.height, each.width) < 10 for each in cameras[1:])
+    error = 1e3 / SLOPE * (radiance_of(signal, taken) - followed(taken, radiance_at))
+    assert np.sqrt(np.mean(error**2)) < min(how["lag_mk"], 25.0), how
 
 
 @pytest.mark.parametrize("size", [(2, 1), (1, 9), (7, 50), (300, 3)])

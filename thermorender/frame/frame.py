@@ -257,12 +257,14 @@ class Frame:
 
     @cached_property
     def targets(self) -> dict[str, dict[str, Any]]:
-        """The scene's objects: {name: {"pixel": (column, row) or None, "in_view", "visible", "range_m"}}."""
+        """The scene's objects but tables of copies or crowns: {name: {"pixel": (column, row) or None, "in_view",
+        "visible", "range_m"}}."""
         return self._view.targets()
 
     @cached_property
     def labels(self) -> dict[str, dict[str, Any]]:
-        """How much of each object the image shows, for the objects whose extent meets it.
+        """How much of each object the image shows, for the objects whose extent meets it. Tables of copies or crowns,
+        which are many bodies, have none.
 
         Returns
         -------

@@ -30,7 +30,10 @@ def labels(
 ) -> dict[str, dict[str, Any]]:
     """Return the `Frame.labels` of objects whose extent meets the image; `seen` is the truth's image of objects."""
     found, camera = {}, rays.camera
+    bodies = {*baked.scene.targets, *(state.name for state in states)}
     for number, name in enumerate(object_names(baked.scene), start=1):
+        if name not in bodies:
+            continue
         geometry, own_pose = baked.device.alone(name, states)
         view = np.linalg.inv(own_pose) @ pose
         local = (geometry.vertices - view[:3, 3]) @ view[:3, :3]

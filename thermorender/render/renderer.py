@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 # Error above which edge pixels of a visible view get more rays: a share of white, summed over the colours.
 _VISIBLE_EDGE = 0.03
 # Cameras whose rays stay in memory.
-_RAYS_KEPT = 4
+_RAYS_KEPT = 8
 
 
 class Renderer:

@@ -309,9 +309,10 @@ class Scene:
 
     @cached_property
     def targets(self) -> dict[str, NDArray[np.float64]]:
-        """{name: (3,) local position of its middle [m]} of the static objects."""
+        """{name: (3,) local position of its middle [m]} of the static objects that are one body, not a table of
+        them."""
         found = {}
-        for item in (item for item in self.spec.objects if item.track is None):
+        for item in (item for item in self.spec.objects if item.track is None and item.instances is None):
             corners = np.concatenate(
                 [s.vertices for s in self.surfaces[self.terrain_count :] if s.name.split(":")[0] == item.name]
             )

@@ -10,6 +10,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,15 @@ from thermorender.sensor.detector import (
     steady,
     stepped,
 )
-from thermorender.sensor.motion import Relief, border_uncertainty, grid_camera, moved, pixel_grid
+from thermorender.sensor.motion import (
+    Relief,
+    WideImage,
+    border_uncertainty,
+    grid_camera,
+    moved,
+    pixel_grid,
+    widest_px,
+)
 from thermorender.sensor.movers import ChangingRegion, Mover, changing_regions, outside
 from thermorender.sensor.schedule import (
     FAR_PX,
@@ -59,6 +68,14 @@ _SHORT_S = 0.02
 _MARGIN_PX = 6
 # Moved images show a moving object where it was not. Age [time constants] up to which that matters.
 _GHOST_AGE = 4.0
+# Age [time constants] up to which a frame's own image is continued beyond its borders: e⁻³ of 1 K in 1 % of the pixels
+# is 5 mK.
+_RIM_AGE = 3.0
+# Step of the width of that continuation [px].
+_RIM_STEP_PX = 4
+
+# (column, row) (H, W) in one instant's image of the pixels of another, both by number in a Schedule.
+_Ways = Callable[[int, int], tuple[Image, Image]]
 
 
 class Exposure:
@@ -136,10 +153,16 @@ class Exposure:
             instants, renders = len(_AGES), 1
         else:
             plan = self._schedule(time_s, motion, contrast, self._since(time_s, before), self._render_px)
-            image = self.sensor.blurred(radiance)
-            plan = self._seen(plan, relief, image, motion) if interpolates else plan
-            signal, error = self._fast(plan, relief, image, moment)
-            instants, renders, moved_s = len(plan.times_s), len(plan.renders), self._moved_s(plan)
+            own, parts, ways = WideImage(self.sensor.blurred(radiance)), 0, self._ways(plan, relief)
+            if interpolates:
+                seen = self._seen(plan, ways, own, motion)
+                if len(seen.renders) > len(plan.renders):
+                    own, parts = self._widened(plan, ways, radiance)
+                    seen = self._seen(plan, ways, own, motion) if parts else seen
+                plan = seen
+            signal, error = self._fast(plan, ways, own, moment)
+            image = own.of(self.sensor.camera)
+            instants, renders, moved_s = len(plan.times_s), len(plan.renders) + parts, self._moved_s(plan)
             regions = self._changing_regions(time_s, before, moved_s)
             if len(plan.renders) < len(plan.times_s):
                 way = self._way(relief, time_s, min(self._span_s(), _SHORT_S))
@@ -154,12 +177,12 @@ class Exposure:
             # The signal of steady pixels may share memory with their state.
             signal = signal.copy()
             for region in regions:
-                count, own = self._follow(region, motion, before, moment, time_s, radiance, signal)
+                count, followed_mk = self._follow(region, motion, before, moment, time_s, radiance, signal)
                 # The frame's own image is among its instants.
                 renders, instants = renders + count - 1, max(instants, count)
                 share = signal[region.rows, region.columns].size / signal.size
-                square += (own**2 - error**2) * share
-                followed += (own**2 - carried) * share
+                square += (followed_mk**2 - error**2) * share
+                followed += (followed_mk**2 - carried) * share
         error = np.sqrt(square)
         if self.pixels is not None:
             self.pixels = replace(self.pixels, error_mk=float(np.sqrt(followed)))
@@ -216,23 +239,66 @@ class Exposure:
         lag_mk = self._lag_mk / max(contrast, 1e-6)
         return schedule(time_s, self._delays, self.sensor.camera.time_constant_s, motion, since_s, lag_mk, render_px)
 
-    def _seen(self, plan: Schedule, relief: Relief, image: Image, motion: float) -> Schedule:
+    def _ways(self, plan: Schedule, relief: Relief) -> _Ways:
+        """The motion of the image between the instants of a Schedule."""
+        times = plan.times_s
+
+        @lru_cache(maxsize=8)
+        def way(seen: int, wanted: int) -> tuple[Image, Image]:
+            return relief.source_pixels(self._pose_at(times[seen]), self._pose_at(times[wanted]))
+
+        return way
+
+    def _number(self, plan: Schedule, age: float | None) -> int:
+        """The instant in a Schedule that is `age` time constants before the first row is read; without, the last."""
+        if age is None:
+            return len(plan.times_s) - 1
+        since = plan.row_times_s[0] - age * self.sensor.camera.time_constant_s
+        return max(int(np.searchsorted(plan.times_s, since, "right")) - 1, 0)
+
+    def _widened(self, plan: Schedule, ways: _Ways, radiance: Image) -> tuple[WideImage, int]:
+        """(The frame's own image, blurred, with what other instants see beyond its borders; renders of parts for it);
+        without parts where other instants see more than an image may be continued."""
+        (height, width), most = radiance.shape, widest_px(self.sensor.camera)
+        reach = np.zeros(4)
+        # The oldest of these instants is no older than that age.
+        for number in (len(plan.times_s) - 1, min(self._number(plan, _RIM_AGE) + 1, plan.own)):
+            column, row = ways(plan.own, number)
+            beyond = -column.min(), -row.min(), column.max() - (width - 1), row.max() - (height - 1)
+            reach = np.maximum(reach, beyond)
+        # In steps, so that the rays of a part serve many frames.
+        wide = np.minimum(_RIM_STEP_PX * np.ceil(reach / _RIM_STEP_PX), most).astype(int)
+        left, top, right, bottom = wide.tolist() if reach.max() <= most else (0, 0, 0, 0)
+        columns = slice(-left, width + right)
+        parts = [
+            (slice(-top, 0), columns), (slice(height, height + bottom), columns),
+            (slice(0, height), slice(-left, 0)), (slice(0, height), slice(width, width + right)),
+        ]  # fmt: skip
+        image = np.empty((height + top + bottom, width + left + right), np.float32)
+        image[top : top + height, left : left + width] = radiance
+        time_s, count = plan.times_s[plan.own], 0
+        for down, across in parts:
+            if down.stop > down.start and across.stop > across.start:
+                camera = self.sensor.camera.part(down, across)
+                here = slice(down.start + top, down.stop + top), slice(across.start + left, across.stop + left)
+                image[here], count = self._radiance_at(time_s, camera, time_s), count + 1
+        return WideImage(self.sensor.blurred(image), left, top), count
+
+    def _seen(self, plan: Schedule, ways: _Ways, own: WideImage, motion: float) -> Schedule:
         """The Schedule with more renders where the images before and after do not see enough of an instant: the last
         one, the first row's, and those one and, in fast motion, three time constants earlier."""
-        times, here, renders = plan.times_s, sample(image.shape), plan.renders
-        for age in (None, 0.0, 1.0, *([3.0] if motion > FAR_PX else [])):
-            number = len(times) - 1
-            if age is not None:
-                since = plan.row_times_s[0] - age * self.sensor.camera.time_constant_s
-                number = max(int(np.searchsorted(times, since, "right")) - 1, 0)
+        camera, renders = self.sensor.camera, plan.renders
+        here, inside = sample((camera.height, camera.width)), WideImage(own.image[: camera.height, : camera.width])
+        for age in (None, 0.0, 1.0, *([_RIM_AGE] if motion > FAR_PX else [])):
+            number = self._number(plan, age)
             after = int(np.searchsorted(renders, number))
             unseen: Any = np.exp(-(age or 0.0))
             for at in {renders[max(after - 1, 0)], renders[min(after, len(renders) - 1)], plan.own}:
-                column, row = relief.source_pixels(self._pose_at(times[at]), self._pose_at(times[number]))
-                column, row = column[here], row[here]
-                guess = border_uncertainty(image, column, row)
+                column, row = (position[here] for position in ways(at, number))
                 # The rim of the frame's own image estimates the uncertainty beyond the rim of another.
-                unseen = unseen * (guess if at == plan.own else guess > 0.0)
+                unseen = unseen * (
+                    own.uncertainty(column, row) if at == plan.own else inside.uncertainty(column, row) > 0.0
+                )
             if number not in renders and np.sqrt(np.mean(unseen**2)) > self._lag_mk * per_mk(self.sensor.camera):
                 renders = np.union1d(renders, number)
         return replace(plan, renders=renders)
@@ -342,22 +408,23 @@ class Exposure:
         error_mk = np.sqrt(sample_mean(unseen**2, image.shape)) / per_mk(camera)
         return self.sensor.power(total, moment, blurred=True), error_mk
 
-    def _fast(self, plan: Schedule, relief: Relief, image: Image, moment: Moment) -> tuple[Image, float]:
+    def _fast(self, plan: Schedule, ways: _Ways, own: WideImage, moment: Moment) -> tuple[Image, float]:
         """Return (signal (H, W) float32 [W] of each row at its own time, estimated rms error of its lag [mK]).
 
         The error is that of the spacing, by leaving out half of the instants, and of parts of the view that no image
         shows.
         """
         camera, times = self.sensor.camera, plan.times_s
+        whole = camera.height, camera.width
         state = self.pixels if self.pixels is not None and self.pixels.time_s >= times[0] else None
-        follower = Follower(state, plan.row_times_s, camera.time_constant_s, image.shape)
-        here = sample(image.shape)
+        follower = Follower(state, plan.row_times_s, camera.time_constant_s, whole)
+        here = sample(whole)
         rows = plan.row_times_s[here[0][:, 0]]
         if state is not None:
             state = PixelState(state.time_s, state.signal[here], state.power[here])
-        shape = image[here].shape
+        shape = np.broadcast_shapes(*(index.shape for index in here))
         *coarser, unseen = (Follower(one, rows, camera.time_constant_s, shape) for one in (state, state, None))
-        for number, (time_s, power, guess) in enumerate(self._powers(plan, relief, image, moment, here)):
+        for number, (time_s, power, guess) in enumerate(self._powers(plan, ways, own, moment, here)):
             last = number == len(times) - 1
             follower.step(time_s, power, last)
             for odd, one in enumerate(coarser):
@@ -365,46 +432,45 @@ class Exposure:
                     one.step(time_s, power[here], last)
             unseen.step(time_s, guess, last)
         self.pixels = follower.pixels
-        scale = np.broadcast_to(self.sensor.power_law(moment)[1] * per_mk(camera), image.shape)[here]
+        scale = np.broadcast_to(self.sensor.power_law(moment)[1] * per_mk(camera), whole)[here]
         apart = [np.mean(((follower.signal[here] - one.signal) / scale) ** 2) for one in coarser]
-        guessed = sample_mean((unseen.signal / per_mk(camera)) ** 2, image.shape)
+        guessed = sample_mean((unseen.signal / per_mk(camera)) ** 2, whole)
         return follower.signal, float(np.sqrt(_BY_HALF**2 * max(apart) + guessed))
 
     def _powers(
-        self, plan: Schedule, relief: Relief, image: Image, moment: Moment, here: Any
+        self, plan: Schedule, ways: _Ways, own: WideImage, moment: Moment, here: Any
     ) -> Iterator[tuple[float, Image, Image]]:
         """Yield (time, absorbed power, uncertainty of the radiance of the sampled pixels) of each instant, in order."""
-        times, renders, seen = plan.times_s, plan.renders, {plan.own: image}
+        times, renders, seen = plan.times_s, plan.renders, {plan.own: own}
         for number, time_s in enumerate(times):
             before = renders[max(int(np.searchsorted(renders, number, "right")) - 1, 0)]
             after = renders[min(int(np.searchsorted(renders, number)), len(renders) - 1)]
             for render in (before, after):
                 if render not in seen:
                     made = self._radiance_at(times[render], self.sensor.camera, times[plan.own])
-                    seen[render] = self.sensor.blurred(made)
-            images = [(times[render], seen[render]) for render in dict.fromkeys((before, after))]
+                    seen[render] = WideImage(self.sensor.blurred(made))
+            images = {render: seen[render] for render in dict.fromkeys((before, after))}
             seen = {render: made for render, made in seen.items() if render >= before}
-            interpolated, guess = self._interpolated(images, relief, time_s, here)
+            interpolated, guess = self._interpolated(images, plan, ways, number, here)
             yield time_s, self.sensor.power(interpolated, moment, blurred=True), guess
 
     def _interpolated(
-        self, images: list[tuple[float, Image]], relief: Relief, time_s: float, here: Any
+        self, images: Mapping[int, WideImage], plan: Schedule, ways: _Ways, number: int, here: Any
     ) -> tuple[Image, Image]:
-        """(The image at a time, its `border_uncertainty`) from the images (time, (H, W) float32) before and after."""
-        if images[0][0] == time_s:
-            return images[0][1], np.zeros_like(images[0][1][here])
-        camera, wanted = self.sensor.camera, self._pose_at(time_s)
+        """(The image of an instant, its `border_uncertainty`) from the images before and after, by instant."""
+        if number in images:
+            image = images[number].of(self.sensor.camera)
+            return image, np.zeros_like(image[here])
         found = []
-        for at, image in images:
-            column, row = relief.source_pixels(self._pose_at(at), wanted)
-            inside = (np.abs(column + 0.5 - 0.5 * camera.width) <= 0.5 * camera.width) & (
-                np.abs(row + 0.5 - 0.5 * camera.height) <= 0.5 * camera.height
-            )
-            found.append((moved(image, column, row), inside, border_uncertainty(image, column[here], row[here])))
+        for at, wide in images.items():
+            column, row = ways(at, number)
+            guess = wide.uncertainty(column[here], row[here])
+            found.append((wide.moved(column, row), wide.shows(column, row), guess))
         if len(found) == 1:
             return found[0][0], found[0][2]
         (first, in_first, guess), (second, in_second, other) = found
-        share = (time_s - images[0][0]) / (images[1][0] - images[0][0])
+        start, end = (plan.times_s[at] for at in images)
+        share = (plan.times_s[number] - start) / (end - start)
         # If only one of them sees a point, it has the whole weight.
         weight = np.where(in_first == in_second, np.float32(share), in_second.astype(np.float32))
         second -= first

@@ -1,5 +1,6 @@
 """Motion of an image between poses, from the depth of the scene, and resampling of an image by that motion."""
 
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -15,6 +16,36 @@ _CELLS, _CELL = 80, 8
 _LEAST_M = 0.1
 # Iterations that find the point of another view in this one.
 _ROUNDS = 2
+# Share of the slope of the image's corner up to which directions count as seen: a distortion is not valid far outside.
+_BEYOND = 1.02
+
+
+@dataclass(frozen=True)
+class WideImage:
+    """An image (h, w) float32 that may reach beyond the sensor's borders. The sensor's first pixel is `left` columns
+    and `top` rows inside."""
+
+    image: Image
+    left: int = 0
+    top: int = 0
+
+    def of(self, camera: Camera) -> Image:
+        """Return the part within the camera's borders, (H, W)."""
+        return self.image[self.top :, self.left :][: camera.height, : camera.width]
+
+    def moved(self, column: Image, row: Image) -> Image:
+        """Return the image at (column, row) of the sensor, as `moved`."""
+        return moved(self.image, column + np.float32(self.left), row + np.float32(self.top))
+
+    def uncertainty(self, column: Image, row: Image) -> Image:
+        """Return the `border_uncertainty` at (column, row) of the sensor."""
+        return border_uncertainty(self.image, column + np.float32(self.left), row + np.float32(self.top))
+
+    def shows(self, column: Image, row: Image) -> NDArray[np.bool_]:
+        """Return whether (column, row) of the sensor are within the image."""
+        height, width = self.image.shape
+        across, down = column + (self.left + 0.5 - 0.5 * width), row + (self.top + 0.5 - 0.5 * height)
+        return (np.abs(across) <= 0.5 * width) & (np.abs(down) <= 0.5 * height)
 
 
 class Relief:
@@ -84,8 +115,13 @@ class Relief:
         """(Points of the grid in another view's axes, over their depth here; whether each is outside that view)."""
         x = self._slope @ turn.T + near[..., None] * shift
         # The distortion model is not valid outside the image.
-        outside = (x[..., 2] <= 0.0) | (np.hypot(x[..., 0], x[..., 1]) > 1.02 * self._farthest * x[..., 2])
+        outside = (x[..., 2] <= 0.0) | (np.hypot(x[..., 0], x[..., 1]) > _BEYOND * self._farthest * x[..., 2])
         return np.where(outside[..., None], (0.0, 0.0, 1.0), x), outside
+
+
+def widest_px(camera: Camera) -> int:
+    """Return how many pixels beyond its borders an image may be continued."""
+    return int((_BEYOND - 1.0) * 0.5 * np.hypot(camera.width, camera.height))
 
 
 def grid_camera(camera: Camera) -> Camera:

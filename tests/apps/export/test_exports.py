@@ -86,6 +86,24 @@ def test_boxes_and_hidden_shares_of_known_geometry(renderer, scene):
     assert (renderer.objects_seen(frame.pose, 1.0)[0] + 1 == frame.truth["object"]).all()
 
 
+def test_a_table_of_crowns_is_a_crowd_without_extents(tmp_path):
+    (tmp_path / "out").mkdir()
+    folder = write_terrain(tmp_path / "s", extra=scene_object("car", [1.0, 1.0, 1.0], [3.0, 0.0, 0.0], 310.0) + (
+        '[[object]]\nname = "trees"\nshape = "sphere"\nsize = [2.0, 2.0, 2.0]\nposition = [0.0, 0.0, 0.0]\n'
+        'temperature = 290.0\nmaterial = "broadleaf"\nleaf_area_1_m = 5.0\ninstances = "trees.csv"\n'
+    ))  # fmt: skip
+    (folder / "trees.csv").write_text("east_m,north_m\n-1.0,0.0\n-3.0,1.0\n")
+    scene = narrow(tr.load_scene(folder), 160, 128)
+    frame = tr.Renderer(scene, quality="fast", rays=16).frame(scene.pose(0.0, 0.0, 45.0, 0.0, -90.0))
+    assert (frame.truth["object"] == frame.objects.index("trees") + 1).any()
+    assert set(frame.labels) == set(frame.targets) == {"car"}
+    write_exr(tmp_path / "out" / "frame_000000.exr", frame, truth=True)
+    coco(tmp_path / "out", tmp_path / "labels.json")
+    found = {one["object"]: one for one in json.loads((tmp_path / "labels.json").read_text())["annotations"]}
+    assert (found["car"]["iscrowd"], found["trees"]["iscrowd"]) == (0, 1)
+    assert found["trees"]["range_m"] is None and found["trees"]["full_box"] is None and found["trees"]["area"] > 100
+
+
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_share_beyond_the_border(renderer, scene, side):
     # Middle of the car 2 m from the axis: its upper side reaches from 1.5 to 2.5 m at a distance of 9 m.

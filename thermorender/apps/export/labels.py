@@ -44,7 +44,8 @@ def coco(folder: str | PathLike[str], path: str | PathLike[str]) -> dict[str, in
     keys of COCO (bbox and area of the visible pixels, segmentation as uncompressed RLE) and, of this package: object,
     track_id (the same in all frames), occluded, truncated and full_box as of `Frame.labels`, range_m to the object's
     middle, apparent_k (mean of its pixels) and contrast_k (that minus the mean of its surrounding, pixels without an
-    object 2–5 px away; null without such pixels). An object in no pixel's middle has no annotation.
+    object 2–5 px away; null without such pixels). An object in no pixel's middle has no annotation. A table of copies
+    or crowns is a crowd (iscrowd 1), whose occluded, truncated, full_box and range_m are null.
 
     Raises
     ------
@@ -63,12 +64,13 @@ def coco(folder: str | PathLike[str], path: str | PathLike[str]) -> dict[str, in
         for track in np.unique(shown[shown > 0]).tolist():
             name = about["objects"][track - 1]
             mask = shown == track
-            label = about["labels"][name]
+            label, crowd = about["labels"].get(name, {}), int(name not in about["targets"])
             annotations.append({
-                "id": len(annotations) + 1, "image_id": image["id"], "category_id": kinds[_kind(name)], "iscrowd": 0,
-                "bbox": _box(mask), "area": int(mask.sum()), "segmentation": run_lengths(mask), "object": name,
-                "track_id": track, "occluded": label["occluded"], "truncated": label["truncated"],
-                "full_box": label["full_box"], "range_m": about["targets"][name]["range_m"],
+                "id": len(annotations) + 1, "image_id": image["id"], "category_id": kinds[_kind(name)],
+                "iscrowd": crowd, "bbox": _box(mask), "area": int(mask.sum()), "segmentation": run_lengths(mask),
+                "object": name, "track_id": track,
+                **{key: label.get(key) for key in ("occluded", "truncated", "full_box")},
+                "range_m": None if crowd else about["targets"][name]["range_m"],
                 **_contrast(kelvin, mask, shown),
             })  # fmt: skip
     categories = [{"id": number, "name": kind} for kind, number in kinds.items()]

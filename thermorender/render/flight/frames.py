@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +23,9 @@ from thermorender.trajectory.path import Trajectory
 
 if TYPE_CHECKING:
     from thermorender.render.dynamic import Objects
+
+# Poses of instants in memory.
+_POSES_KEPT = 64
 
 
 class FlightFrames:
@@ -146,9 +150,10 @@ class FlightFrames:
 
     def _exposure(self) -> Exposure:
         """The sensor with its state from frame to frame."""
-        trajectory = self._trajectory
+        # A frame asks for the pose of each of its instants several times.
+        pose_at = lru_cache(maxsize=_POSES_KEPT)(partial(pose_within, self._trajectory))
         movers = movers_of(self._renderer.scene, lambda time_s: {}, {})
-        return exposure_of(self.timed, lambda time_s: pose_within(trajectory, time_s), 1.0 / self.rate_hz, movers)
+        return exposure_of(self.timed, pose_at, 1.0 / self.rate_hz, movers)
 
 
 def pose_within(trajectory: Trajectory, time_s: float) -> NDArray[np.float64]:
