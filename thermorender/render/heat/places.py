@@ -25,11 +25,27 @@ def texel_points(geometry: Geometry, texels: NDArray[np.integer], face: NDArray[
 def sun_cosine(geometry: Geometry, point: Jit, normal: Jit, towards: NDArray[np.float64]) -> Jit:
     """Return the cosine of the sun's rays at points above the surface, Float, 0 in shadow; `towards` (3,) points to the
     sun."""
-    mi = geometry.mi
-    sun = mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))
-    cosine = dr.dot(normal, sun)
-    ray = mi.Ray3f(point, dr.select(cosine > 0.0, sun, mi.Vector3f(0.0, 0.0, 1.0)))
-    return dr.maximum(cosine, 0.0) * geometry.sunlight(ray, cosine > 0.0, coherent=True)
+    return lit_cosine(geometry, normal, towards) * sun_share(geometry, point, normal, towards)
+
+
+def lit_cosine(geometry: Geometry, normal: Jit, towards: NDArray[np.float64]) -> Jit:
+    """Return the cosine of the sun's rays without shadows, Float, 0 on the side away from the sun."""
+    return dr.maximum(dr.dot(normal, _sun(geometry, towards)), 0.0)
+
+
+def sun_share(
+    geometry: Geometry, point: Jit, normal: Jit, towards: NDArray[np.float64], active: Jit = True
+) -> Jit:  # fmt: skip
+    """Return the share of the sun's rays that arrives at points above the surface, Float; 0 on the side away from the
+    sun."""
+    mi, sun = geometry.mi, _sun(geometry, towards)
+    lit = active & (dr.dot(normal, sun) > 0.0)
+    ray = mi.Ray3f(point, dr.select(lit, sun, mi.Vector3f(0.0, 0.0, 1.0)))
+    return geometry.sunlight(ray, lit, coherent=True)
+
+
+def _sun(geometry: Geometry, towards: NDArray[np.float64]) -> Jit:
+    return geometry.mi.Vector3f(*(dr.opaque(geometry.mi.Float, float(value)) for value in towards))
 
 
 def _on_faces(

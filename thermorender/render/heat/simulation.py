@@ -1,9 +1,10 @@
 """Temperatures of a terrain's texels by time stepping of its heat balance on the device, with sun, shadow and
 surroundings.
 
-Every texel is a column: its material on the layers beneath, at its position on the mesh. At both stages of every step a
-shadow ray from each texel tests for the sun. Reflected sunlight and the long-wave radiation of the surroundings use the
-rays of the scene's light. They are one value per face, solved every half hour between columns at the faces' middles.
+Every texel is a column: its material on the layers beneath, at its position on the mesh. At the end of every step a
+shadow ray from each texel tests for the sun, whose share is linear in time between. Reflected sunlight and the
+long-wave radiation of the surroundings use the rays of the scene's light. They are one value per face, solved every
+half hour between columns at the faces' middles.
 
 A simulation begins two days before the first instant requested, from settled columns in the open: one day leaves 0.1 K
 (RMS) in a village, 0.4 K in its water. Texels are simulated in blocks, each together with all faces, which bounds
@@ -28,7 +29,7 @@ from thermorender.physics.sun import direction
 from thermorender.render.arrays import Jit, aligned
 from thermorender.render.geometry import Geometry
 from thermorender.render.heat.copies import Copies
-from thermorender.render.heat.places import sun_cosine, texel_points
+from thermorender.render.heat.places import lit_cosine, sun_share, texel_points
 from thermorender.render.heat.steps import Library, steps_to
 from thermorender.render.light import contacts, radiosity, transport_cache
 from thermorender.render.light.exchange import threads
@@ -51,6 +52,7 @@ _BEFORE_S = 48 * 3600.0
 _LIGHT_S, _RAYS, _REFLECTIONS = 1800.0, 64, 4
 # Time before the first instant in which each texel has its own sun; earlier those of a face and material share it [s].
 _OWN_S = 4 * 3600.0
+_DAY_S = 86400
 # Texels simulated at a time: about 350 bytes each.
 _AT_ONCE = 1 << 22
 # Largest factor on reflectance from the brightness of a texel over that of its class.
@@ -356,6 +358,7 @@ class _Simulation:
         its own sun and deviations."""
         mi, own = self.mi, None
         light: _Light | None = None
+        sun = _SunShares(self)
         self.arrives: Any = None
         steps = steps_to(self.start, self.asked)
         first_s = float((self.asked[0] - self.start) / np.timedelta64(1, "s"))
@@ -375,10 +378,11 @@ class _Simulation:
                 state = State(surface_k, own_of(state.layers_k), film, liquid, remainder_k)
                 columns, _ = self._columns(texels)
                 _evaluate(state)
-                own = None
+                own, sun = None, _SunShares(self)
+            sun.step(columns, at, seconds, own is not None)
             if light is None or at >= light.until:
-                light = self._light(at, seconds, balance.seen_k(state, columns.ground), columns)
-            first, second = (self._forcing(at + offset, light, columns) for offset in balance.stage_times(seconds))
+                light = self._light(at, seconds, balance.seen_k(state, columns.ground), columns, sun)
+            first, second = (self._forcing(at + offset, light, columns, sun) for offset in balance.stage_times(seconds))
             state, _ = balance.step(Library, state, columns.ground, first, second, dr.opaque(mi.Float, seconds))
             _evaluate(state)
             progress((number + 1) / len(steps))
@@ -409,12 +413,18 @@ class _Simulation:
     def _instant(self, at_s: float) -> np.datetime64:
         return self.start + np.timedelta64(round(1000.0 * at_s), "ms")
 
-    def _cosine(self, at: Sequence[Jit], more: Jit, towards: NDArray[np.float64], at_s: float) -> Jit:
-        """Cosine of the sun's rays at (points, normals, faces), 0 in shadow; on copies as of `Copies.on`."""
-        found = sun_cosine(self.geometry, at[0], at[1], towards)
-        return found if self.copies is None else self.copies.on(at[2], more, found, at_s)
+    def _cosine(self, normal: Jit, face: Jit, more: Jit, share: Jit, at_s: float) -> Jit:
+        """Cosine of the sun's rays at columns, 0 in shadow, where a `share` of them arrives; on copies as of
+        `Copies.on`."""
+        found = lit_cosine(self.geometry, normal, self._sun(self._instant(at_s))) * share
+        return found if self.copies is None else self.copies.on(face, more, found, at_s)
 
-    def _forcing(self, at_s: float, light: "_Light", columns: _Columns) -> Forcing:
+    def sun_share(self, point: Jit, normal: Jit, face: Jit, towards: NDArray[np.float64]) -> Jit:
+        """Return the share of the sun's rays that arrives at columns, Float; 0 on copies, which have their own."""
+        solid = True if self.copies is None else face < dr.opaque(self.mi.UInt32, self.copies.first)
+        return sun_share(self.geometry, point, normal, towards, self.mi.Bool(solid))
+
+    def _forcing(self, at_s: float, light: "_Light", columns: _Columns, sun: "_SunShares") -> Forcing:
         """The Forcing of columns at an instant [s after the start]."""
         mi, instant = self.mi, self._instant(at_s)
         found = self.weather.at(instant)
@@ -425,8 +435,8 @@ class _Simulation:
         level = found.direct_w_m2 * sine + found.diffuse_w_m2
         sunlight = one(found.diffuse_w_m2) * gathered(light.sky) + one(level) * gathered(light.reflected)
         if towards[2] > 0.0 and found.direct_w_m2 > 0.0:
-            here = columns.point, columns.normal, columns.face
-            sunlight += one(found.direct_w_m2) * self._cosine(here, columns.hidden > 0.0, towards, at_s)
+            more, share = columns.hidden > 0.0, sun.at(at_s)
+            sunlight += one(found.direct_w_m2) * self._cosine(columns.normal, columns.face, more, share, at_s)
         air = one(found.air_k) + columns.cooler
         # Relative humidity is constant with height; pressure follows the lapse of the standard atmosphere.
         saturation, below = (turbulence.saturation_vapour(Library, each)[0] for each in (air, one(found.air_k)))
@@ -449,7 +459,7 @@ class _Simulation:
             inner_w_m2=columns.inner_w_m2,
         )
 
-    def _light(self, at_s: float, seconds: float, seen_k: Jit, columns: _Columns) -> "_Light":
+    def _light(self, at_s: float, seconds: float, seen_k: Jit, columns: _Columns, sun: "_SunShares") -> "_Light":
         """The _Light between the faces from `at_s` on, for a step of `seconds` at least; each call adds one reflection
         to the light of the call before."""
         mi = self.mi
@@ -460,10 +470,12 @@ class _Simulation:
         own = self.sky * np.float32(found.diffuse_w_m2 / max(level, 1.0))
         if towards[2] > 0.0 and found.direct_w_m2 > 0.0:
             here = dr.arange(mi.UInt32, len(self.alone))
-            at = [dr.gather(kind, values, here) for kind, values in (
-                (mi.Point3f, columns.point), (mi.Vector3f, columns.normal), (mi.UInt32, columns.face)
-            )]  # fmt: skip
-            lit = np.array(self._cosine(at, mi.Bool(False), towards, middle_s))
+            normal, face = dr.gather(mi.Vector3f, columns.normal, here), dr.gather(mi.UInt32, columns.face, here)
+            if middle_s <= at_s + seconds:
+                share = dr.gather(mi.Float, sun.at(middle_s), here)
+            else:
+                share = self.sun_share(dr.gather(mi.Point3f, columns.point, here), normal, face, towards)
+            lit = np.array(self._cosine(normal, face, mi.Bool(False), share, middle_s))
             own[: self.faces] += np.float32(found.direct_w_m2 / max(level, 1.0)) * lit[self.column]
         kelvin = self.face_kelvin.copy()
         kelvin[: self.faces] = np.array(seen_k)[self.column]
@@ -485,6 +497,47 @@ class _Simulation:
         """Mean over the terrain's area."""
         share = self.geometry.share[: self.faces]
         return values[: self.faces] @ share / share.sum()
+
+
+class _SunShares:
+    """The share of the sun's rays that arrives at columns, tested at the ends of steps and linear in time between."""
+
+    def __init__(self, simulation: _Simulation) -> None:
+        self._of = simulation
+        # {time of day [s]: share}, of the columns that texels share.
+        self._known: dict[int, Jit] = {}
+        self._ends: list[tuple[float, Jit | None]] = []
+
+    def step(self, columns: _Columns, at_s: float, seconds: float, keep: bool) -> None:
+        """Test at both ends of a step of `seconds` from `at_s`. With `keep`, the share of a day before serves again:
+        the sun's height changes by 0.4° a day at most."""
+        known = dict(self._ends)
+        self._ends = [
+            (time_s, known[time_s] if time_s in known else self._tested(columns, time_s, keep))
+            for time_s in (at_s, at_s + seconds)
+        ]
+
+    def at(self, at_s: float) -> Jit:
+        """Return the share at a time in the step [s], Float."""
+        (start_s, first), (end_s, last) = self._ends
+        if first is None or last is None:
+            # The sun is above the horizon at one end only, or at neither.
+            only = last if first is None else first
+            return self._of.mi.Float(0.0) if only is None else only
+        return dr.lerp(first, last, dr.opaque(self._of.mi.Float, (at_s - start_s) / (end_s - start_s)))
+
+    def _tested(self, columns: _Columns, time_s: float, keep: bool) -> Jit | None:
+        """The share at a time, None below the horizon."""
+        towards, key = self._of._sun(self._of._instant(time_s)), round(time_s) % _DAY_S
+        if towards[2] <= 0.0:
+            return None
+        if keep and key in self._known:
+            return self._known[key]
+        share = self._of.sun_share(columns.point, columns.normal, columns.face, towards)
+        dr.eval(share)
+        if keep:
+            self._known[key] = share
+        return share
 
 
 @dataclass(frozen=True, eq=False)
