@@ -341,6 +341,15 @@ def test_what_a_fast_view_has_left_behind_is_rendered():
     assert error < 45.0 and error < how["lag_mk"] < 5.0 * error, (error, how)
 
 
+def test_an_image_is_not_continued_where_its_distortion_folds():
+    camera = replace(CAMERA, width=640, height=512)
+    # r + k₁ r³ is largest at 2/3 (−3 k₁)^−½, here just beyond the corner of the image.
+    corner = np.hypot(0.5 * camera.width, 0.5 * camera.height) / camera.focal_length_px
+    folds = replace(camera, distortion=(-4.0 / (27.0 * (1.01 * corner) ** 2), 0.0, 0.0, 0.0, 0.0))
+    folds.directions([(0.0, 0.0)])
+    assert motion.widest_px(folds) == 0 < motion.widest_px(camera)
+
+
 @pytest.mark.parametrize("heading", [0.0, 180.0, 90.0])
 def test_strips_beside_the_image_stand_for_whole_images_of_the_past(heading):
     """Warm ground lies just outside of the frame's own view, which remembers it."""

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from thermorender.errors import ThermorenderError
 from thermorender.sensor.camera import Camera, Image, Pose
 
 # Cells across the grid on which positions are exact, and the most pixels along a cell: over level ground the error
@@ -119,9 +120,15 @@ class Relief:
         return np.where(outside[..., None], (0.0, 0.0, 1.0), x), outside
 
 
+@lru_cache(maxsize=2)
 def widest_px(camera: Camera) -> int:
-    """Return how many pixels beyond its borders an image may be continued."""
-    return int((_BEYOND - 1.0) * 0.5 * np.hypot(camera.width, camera.height))
+    """Return how many pixels beyond its borders an image may be continued; 0 where the distortion does not reach."""
+    most = int((_BEYOND - 1.0) * 0.5 * np.hypot(camera.width, camera.height))
+    try:
+        camera.directions([(x, y) for x in (-most, camera.width + most) for y in (-most, camera.height + most)])
+    except ThermorenderError:
+        return 0
+    return most
 
 
 def grid_camera(camera: Camera) -> Camera:
