@@ -4,7 +4,8 @@
 - Sub-pixel motion: that image is moved back along its path, to the ages that best represent each row's exponential
   past.
 - Fast motion: power is followed through close instants, with the exact response. Some of these are rendered; between
-  them, two images are moved as the ground moves, and blended.
+  them, two images are moved as the ground moves, and blended. Where strips beside the frame's own image show all that
+  its pixels remember, they replace renders of other instants.
 - Moving objects: the part of the image that they cross is followed through rendered instants (`sensor.movers`).
 """
 
@@ -157,7 +158,7 @@ class Exposure:
             if interpolates:
                 seen = self._seen(plan, ways, own, motion)
                 if len(seen.renders) > len(plan.renders):
-                    own, parts = self._widened(plan, ways, radiance)
+                    own, parts = self._widened(plan, ways, own, radiance)
                     seen = self._seen(plan, ways, own, motion) if parts else seen
                 plan = seen
             signal, error = self._fast(plan, ways, own, moment)
@@ -256,9 +257,11 @@ class Exposure:
         since = plan.row_times_s[0] - age * self.sensor.camera.time_constant_s
         return max(int(np.searchsorted(plan.times_s, since, "right")) - 1, 0)
 
-    def _widened(self, plan: Schedule, ways: _Ways, radiance: Image) -> tuple[WideImage, int]:
+    def _widened(
+        self, plan: Schedule, ways: _Ways, own: WideImage, radiance: Image
+    ) -> tuple[WideImage, int]:  # fmt: skip
         """(The frame's own image, blurred, with what other instants see beyond its borders; renders of parts for it);
-        without parts where other instants see more than an image may be continued."""
+        `own` and 0 where other instants see more than an image may be continued."""
         (height, width), most = radiance.shape, widest_px(self.sensor.camera)
         reach = np.zeros(4)
         # The oldest of these instants is no older than that age.
@@ -266,9 +269,11 @@ class Exposure:
             column, row = ways(plan.own, number)
             beyond = -column.min(), -row.min(), column.max() - (width - 1), row.max() - (height - 1)
             reach = np.maximum(reach, beyond)
+        if reach.max() > most:
+            return own, 0
         # In steps, so that the rays of a part serve many frames.
         wide = np.minimum(_RIM_STEP_PX * np.ceil(reach / _RIM_STEP_PX), most).astype(int)
-        left, top, right, bottom = wide.tolist() if reach.max() <= most else (0, 0, 0, 0)
+        left, top, right, bottom = wide.tolist()
         columns = slice(-left, width + right)
         parts = [
             (slice(-top, 0), columns), (slice(height, height + bottom), columns),
@@ -288,7 +293,7 @@ class Exposure:
         """The Schedule with more renders where the images before and after do not see enough of an instant: the last
         one, the first row's, and those one and, in fast motion, three time constants earlier."""
         camera, renders = self.sensor.camera, plan.renders
-        here, inside = sample((camera.height, camera.width)), WideImage(own.image[: camera.height, : camera.width])
+        here, inside = sample((camera.height, camera.width)), WideImage(own.of(camera))
         for age in (None, 0.0, 1.0, *([_RIM_AGE] if motion > FAR_PX else [])):
             number = self._number(plan, age)
             after = int(np.searchsorted(renders, number))

@@ -20,6 +20,8 @@ from thermorender.materials.mixture import largest_part
 _SURROUNDING_PX = (1, 5)
 # Classes of the masks, in addition to "other".
 _MOST_CLASSES = 10
+# Keys of an object's labels that its annotation has too.
+_EXTENTS = ("occluded", "truncated", "full_box")
 _NUMBERED = re.compile(r"[ _-]*\d+$")
 
 
@@ -64,12 +66,12 @@ def coco(folder: str | PathLike[str], path: str | PathLike[str]) -> dict[str, in
         for track in np.unique(shown[shown > 0]).tolist():
             name = about["objects"][track - 1]
             mask = shown == track
-            label, crowd = about["labels"].get(name, {}), int(name not in about["targets"])
+            crowd = int(name not in about["targets"])
+            extents = dict.fromkeys(_EXTENTS) if crowd else {key: about["labels"][name][key] for key in _EXTENTS}
             annotations.append({
                 "id": len(annotations) + 1, "image_id": image["id"], "category_id": kinds[_kind(name)],
                 "iscrowd": crowd, "bbox": _box(mask), "area": int(mask.sum()), "segmentation": run_lengths(mask),
-                "object": name, "track_id": track,
-                **{key: label.get(key) for key in ("occluded", "truncated", "full_box")},
+                "object": name, "track_id": track, **extents,
                 "range_m": None if crowd else about["targets"][name]["range_m"],
                 **_contrast(kelvin, mask, shown),
             })  # fmt: skip

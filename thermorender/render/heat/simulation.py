@@ -504,14 +504,15 @@ class _SunShares:
 
     def __init__(self, simulation: _Simulation) -> None:
         self._of = simulation
-        # {time of day [s]: share}, of the columns that texels share.
+        # {time of day [s]: share} of the first day, in which texels share columns.
         self._known: dict[int, Jit] = {}
         self._ends: list[tuple[float, Jit | None]] = []
+        self._count = 0
 
     def step(self, columns: _Columns, at_s: float, seconds: float, keep: bool) -> None:
         """Test at both ends of a step of `seconds` from `at_s`. With `keep`, the share of a day before serves again:
         the sun's height changes by 0.4° a day at most."""
-        known = dict(self._ends)
+        known, self._count = dict(self._ends), dr.width(columns.normal)
         self._ends = [
             (time_s, known[time_s] if time_s in known else self._tested(columns, time_s, keep))
             for time_s in (at_s, at_s + seconds)
@@ -523,7 +524,7 @@ class _SunShares:
         if first is None or last is None:
             # The sun is above the horizon at one end only, or at neither.
             only = last if first is None else first
-            return self._of.mi.Float(0.0) if only is None else only
+            return dr.zeros(self._of.mi.Float, self._count) if only is None else only
         return dr.lerp(first, last, dr.opaque(self._of.mi.Float, (at_s - start_s) / (end_s - start_s)))
 
     def _tested(self, columns: _Columns, time_s: float, keep: bool) -> Jit | None:
@@ -532,10 +533,10 @@ class _SunShares:
         if towards[2] <= 0.0:
             return None
         if keep and key in self._known:
-            return self._known[key]
+            return self._known.pop(key)
         share = self._of.sun_share(columns.point, columns.normal, columns.face, towards)
         dr.eval(share)
-        if keep:
+        if keep and time_s < _DAY_S:
             self._known[key] = share
         return share
 
