@@ -54,7 +54,7 @@ def _read(pace, warm, path, movers=()):
     camera, span_s = _camera(pace[0]), 1e-3 * pace[1]
     ground, slope = (f(_GROUND_K, *camera.band_um) for f in (band_radiance, band_radiance_derivative))
 
-    def radiance(time_s, seen, lit_s=None):
+    def radiance(time_s, seen, lit_s=None, rim=None):
         return (ground + slope * warm(*_places(seen, path(time_s)), time_s)).astype(np.float32)
 
     sensor = sensor_of(camera, 0)

@@ -55,7 +55,8 @@ def flown(plate, flight_mps, rate_hz, frames, camera=CAMERA, known=True):
     at = lambda t: (0.0, flight_mps * t)  # noqa: E731
     path = lambda t: pose(*at(t), HEIGHT_M, 0.0, -90.0)  # noqa: E731
     sensor = Sensor(camera, 0)
-    taken = Exposure(sensor, lambda t, by, lit: plate.radiance(t, by, at(t)), path, plane_depth(), 1.0 / rate_hz,
+    seen = lambda t, by, lit, rim=None: plate.radiance(t, by, at(t))  # noqa: E731
+    taken = Exposure(sensor, seen, path, plane_depth(), 1.0 / rate_hz,
                      movers=[plate.mover] if known else [])  # fmt: skip
     found, how = [], None
     for index in range(frames):
@@ -210,7 +211,10 @@ def test_pixels_faster_than_the_row_readout(flight_mps):
 def test_slow_pixels_keep_their_stated_error():
     slow = replace(CAMERA, time_constant_ms=500.0)
     plate = Plate(lambda t: 8.0 * t, bends=[-20.0, 20.0])
-    seen, path = lambda t, by, lit: plate.radiance(t, by, (0.0, 0.0)), lambda t: pose(0, 0, HEIGHT_M, 0.0, -90.0)
+    seen, path = (
+        lambda t, by, lit, rim=None: plate.radiance(t, by, (0.0, 0.0)),
+        lambda t: pose(0, 0, HEIGHT_M, 0.0, -90.0),
+    )
     taken = Exposure(Sensor(slow, 0), seen, path, plane_depth(), 1.0 / 60.0, movers=[plate.mover])
     stated = []
     for index in range(4):
@@ -228,7 +232,7 @@ def test_view_that_returns_within_a_time_constant_counts_as_motion(turns_per_s):
     camera = replace(CAMERA, time_constant_ms=1000.0)
     path = lambda t: pose(0.0, 0.0, HEIGHT_M, 360.0 * turns_per_s * t, -90.0)  # noqa: E731
     image = (GROUND + np.zeros((camera.height, camera.width))).astype(np.float32)
-    taken = Exposure(Sensor(camera, 0), lambda t, by, lit: image, path, plane_depth(), 0.1)
+    taken = Exposure(Sensor(camera, 0), lambda t, by, lit, rim=None: image, path, plane_depth(), 0.1)
     _, how = taken.signal(in_sequence(camera, 0, 0.0), 0.0, image)
     # Corners move on a circle; the chord of a fiftieth of a second is up to 0.6 % short.
     way_px = 2.0 * np.pi * turns_per_s * np.hypot(camera.width, camera.height) / 2.0

@@ -244,15 +244,18 @@ class Renderer:
     def radiance(
         self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None, through_air: bool = True,
         camera: Camera | None = None, lit_s: float | None = None, lit_objects: Objects | None = None,
+        only: NDArray[np.bool_] | None = None,
     ) -> NDArray[np.float32]:  # fmt: skip
         """Return the band radiance of `frame`, (H, W) float32 [W m⁻² sr⁻¹], without noise or truth.
 
         Without `through_air` it is the radiance that leaves the surfaces towards the camera; they are still lit through
         the air. `camera` replaces the scene's, for example by a part of its image; band and air stay the scene's. With
         `lit_s` moving objects receive and give the light of that time [s], which saves tracing it for instants close to
-        it; `lit_objects` is `objects` at that time, by default the same.
+        it; `lit_objects` is `objects` at that time, by default the same. `only` (H, W) asks for some pixels, through
+        air: they get few rays, whether they show an edge or not, and the others are 0.
         """
-        return self._view(pose, time_s, objects, camera, lit_s, lit_objects).radiance(through_air)[0]
+        view = self._view(pose, time_s, objects, camera, lit_s, lit_objects)
+        return view.radiance(through_air)[0] if only is None else view.some(only)
 
     def parts_at(
         self, pose: ArrayLike, pixels: ArrayLike, time_s: float = 0.0, objects: Objects | None = None,

@@ -4,8 +4,8 @@
 - Sub-pixel motion: that image is moved back along its path, to the ages that best represent each row's exponential
   past.
 - Fast motion: power is followed through close instants, with the exact response. Some of these are rendered; between
-  them, two images are moved as the ground moves, and blended. Where strips beside the frame's own image show all that
-  its pixels remember, they replace renders of other instants.
+  them, two images are moved as the ground moves, and blended. Where a rim around the frame's own image shows all that
+  its pixels remember, it replaces renders of other instants.
 - Moving objects: the part of the image that they cross is followed through rendered instants (`sensor.movers`).
 """
 
@@ -83,7 +83,8 @@ class Exposure:
     """The state of a flight's sensor from one frame to the next, `interval_s` [s] apart.
 
     `radiance_at` (time [s], Camera, time [s] of the light on and from moving objects) returns band radiance, (H, W)
-    float32 [W m⁻² sr⁻¹], of the sensor's camera or a part of it. `pose_at` (time) returns world_from_camera. `depth_at`
+    float32 [W m⁻² sr⁻¹], of the sensor's camera, of a part of it or of a wider view; of that, only the pixels of a rim
+    (H, W) bool, its fourth argument, are used. `pose_at` (time) returns world_from_camera. `depth_at`
     (pose, Camera) is the depth of the static scene along the axis, (h, w) [m], infinite where nothing is hit.
     `render_px` is the motion between two renders; 0 renders every instant. `lag_mk` is the estimated error allowed to
     the spacing of instants.
@@ -154,16 +155,16 @@ class Exposure:
             instants, renders = len(_AGES), 1
         else:
             plan = self._schedule(time_s, motion, contrast, self._since(time_s, before), self._render_px)
-            own, parts, ways = WideImage(self.sensor.blurred(radiance)), 0, self._ways(plan, relief)
+            own, wide, ways = WideImage(self.sensor.blurred(radiance)), False, self._ways(plan, relief)
             if interpolates:
                 seen = self._seen(plan, ways, own, motion)
                 if len(seen.renders) > len(plan.renders):
-                    own, parts = self._widened(plan, ways, own, radiance)
-                    seen = self._seen(plan, ways, own, motion) if parts else seen
+                    own, wide = self._widened(plan, ways, own, radiance)
+                    seen = self._seen(plan, ways, own, motion) if wide else seen
                 plan = seen
             signal, error = self._fast(plan, ways, own, moment)
             image = own.of(self.sensor.camera)
-            instants, renders, moved_s = len(plan.times_s), len(plan.renders) + parts, self._moved_s(plan)
+            instants, renders, moved_s = len(plan.times_s), len(plan.renders) + wide, self._moved_s(plan)
             regions = self._changing_regions(time_s, before, moved_s)
             if len(plan.renders) < len(plan.times_s):
                 way = self._way(relief, time_s, min(self._span_s(), _SHORT_S))
@@ -259,9 +260,9 @@ class Exposure:
 
     def _widened(
         self, plan: Schedule, ways: _Ways, own: WideImage, radiance: Image
-    ) -> tuple[WideImage, int]:  # fmt: skip
-        """(The frame's own image, blurred, with what other instants see beyond its borders; renders of parts for it);
-        `own` and 0 where other instants see more than an image may be continued."""
+    ) -> tuple[WideImage, bool]:  # fmt: skip
+        """(The frame's own image, blurred, with what other instants see beyond its borders; True), or `own` and False
+        where other instants see more than an image may be continued."""
         (height, width), most = radiance.shape, widest_px(self.sensor.camera)
         reach = np.zeros(4)
         # The oldest of these instants is no older than that age.
@@ -270,24 +271,20 @@ class Exposure:
             beyond = -column.min(), -row.min(), column.max() - (width - 1), row.max() - (height - 1)
             reach = np.maximum(reach, beyond)
         if reach.max() > most:
-            return own, 0
-        # In steps, so that the rays of a part serve many frames.
+            return own, False
+        # In steps, so that the rays of a rim serve many frames.
         wide = np.minimum(_RIM_STEP_PX * np.ceil(reach / _RIM_STEP_PX), most).astype(int)
         left, top, right, bottom = wide.tolist()
-        columns = slice(-left, width + right)
-        parts = [
-            (slice(-top, 0), columns), (slice(height, height + bottom), columns),
-            (slice(0, height), slice(-left, 0)), (slice(0, height), slice(width, width + right)),
-        ]  # fmt: skip
-        image = np.empty((height + top + bottom, width + left + right), np.float32)
-        image[top : top + height, left : left + width] = radiance
-        time_s, count = plan.times_s[plan.own], 0
-        for down, across in parts:
-            if down.stop > down.start and across.stop > across.start:
-                camera = self.sensor.camera.part(down, across)
-                here = slice(down.start + top, down.stop + top), slice(across.start + left, across.stop + left)
-                image[here], count = self._radiance_at(time_s, camera, time_s), count + 1
-        return WideImage(self.sensor.blurred(image), left, top), count
+        if not wide.any():
+            return own, False
+        rim = np.ones((height + top + bottom, width + left + right), bool)
+        inside = slice(top, top + height), slice(left, left + width)
+        rim[inside] = False
+        time_s = plan.times_s[plan.own]
+        camera = self.sensor.camera.part(slice(-top, height + bottom), slice(-left, width + right))
+        image = self._radiance_at(time_s, camera, time_s, rim)
+        image[inside] = radiance
+        return WideImage(self.sensor.blurred(image), left, top), True
 
     def _seen(self, plan: Schedule, ways: _Ways, own: WideImage, motion: float) -> Schedule:
         """The Schedule with more renders where the images before and after do not see enough of an instant: the last

@@ -114,8 +114,8 @@ def _lag(renderer, of, flight):
     """Return errors and times of a flight's settings, and (single image, reference) of its frame in band radiance."""
     camera, path = of.camera, _flight(renderer, flight)
 
-    def radiance_at(time_s, camera=None, lit_s=None):
-        return renderer.radiance(path(time_s), camera=camera)
+    def radiance_at(time_s, camera=None, lit_s=None, rim=None):
+        return renderer.radiance(path(time_s), camera=camera, only=rim)
 
     now = radiance_at(0.0)
     expected, span = _reference(of, radiance_at, row_delays(camera, 1.0 / RATE_HZ))

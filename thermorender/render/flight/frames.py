@@ -172,8 +172,14 @@ def exposure_of(
     first = timed.first
     return Exposure(
         sensor_of(first.scene.camera, first.seed),
-        lambda time_s, camera, lit_s: timed.at(time_s).radiance(
-            pose_at(time_s), time_s, objects_at(time_s), camera=camera, lit_s=lit_s, lit_objects=objects_at(lit_s)
+        lambda time_s, camera, lit_s, only=None: timed.at(time_s).radiance(
+            pose_at(time_s),
+            time_s,
+            objects_at(time_s),
+            camera=camera,
+            lit_s=lit_s,
+            lit_objects=objects_at(lit_s),
+            only=only,
         ),
         pose_at,
         first.depth,

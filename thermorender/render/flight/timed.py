@@ -63,7 +63,7 @@ class InstantRenderer(Protocol):
 
     def radiance(
         self, pose: ArrayLike, time_s: float = ..., objects: "Objects | None" = ..., *, camera: Camera | None = ...,
-        lit_s: float | None = ..., lit_objects: "Objects | None" = ...,
+        lit_s: float | None = ..., lit_objects: "Objects | None" = ..., only: NDArray[np.bool_] | None = ...,
     ) -> NDArray[np.float32]:  # fmt: skip
         """Return the band radiance of `frame`, (H, W) [W m⁻² sr⁻¹]."""
 
