@@ -96,7 +96,7 @@ class Exposure:
     def __init__(
         self,
         sensor: Sensor,
-        radiance_at: Callable[[float, Camera, float], Image],
+        radiance_at: Callable[..., Image],
         pose_at: Callable[[float], Pose],
         depth_at: Callable[[Pose, Camera], NDArray[Any]],
         interval_s: float,

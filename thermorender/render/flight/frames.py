@@ -15,6 +15,7 @@ from thermorender.frame import Frame
 from thermorender.render.flight.timed import InstantRenderer, InstantRendererT, TimedRenderer
 from thermorender.scene.scene import Scene
 from thermorender.scene.tracks import TrackedObject
+from thermorender.sensor.camera import Camera
 from thermorender.sensor.chain import in_sequence, sensor_of
 from thermorender.sensor.detector import forgotten_s, row_delays
 from thermorender.sensor.exposure import Exposure
@@ -170,17 +171,18 @@ def exposure_of(
     4), `interval_s` is the frame interval [s], `movers` are from `movers_of`, and `objects_at` maps time [s] to values
     of dynamic objects that replace those of their tracks."""
     first = timed.first
+
+    def radiance_at(
+        time_s: float, camera: Camera, lit_s: float, only: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.float32]:  # fmt: skip
+        return timed.at(time_s).radiance(
+            pose_at(time_s), time_s, objects_at(time_s), camera=camera, lit_s=lit_s, lit_objects=objects_at(lit_s),
+            only=only,
+        )  # fmt: skip
+
     return Exposure(
         sensor_of(first.scene.camera, first.seed),
-        lambda time_s, camera, lit_s, only=None: timed.at(time_s).radiance(
-            pose_at(time_s),
-            time_s,
-            objects_at(time_s),
-            camera=camera,
-            lit_s=lit_s,
-            lit_objects=objects_at(lit_s),
-            only=only,
-        ),
+        radiance_at,
         pose_at,
         first.depth,
         interval_s,

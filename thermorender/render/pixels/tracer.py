@@ -219,7 +219,7 @@ class Tracer:
         _, values = self._shade(self.rays.finer(self.rays.position[pixels], 0, count, shift=shift), self._judge)
         return np.stack([np.array(dr.block_sum(value, count)) for value in values]) / count
 
-    def few(self, pixels: NDArray[np.integer]) -> NDArray[Any]:
+    def few(self, pixels: NDArray[np.int64]) -> NDArray[Any]:
         """Return (channels, n): the mean over few rays of pixels by flat number, whether they show an edge or not."""
         return self._rays_in(pixels, 0, _FEW, None)[0] / _FEW
 
