@@ -18,8 +18,8 @@ from thermorender.units import utc_text
 TEMPERATURE_STEP_K = 0.02
 _TEMPERATURE_BASE_K = 200.0
 # Without loss, by codecs that rasterio's wheels and QGIS read. LERC takes a seventh less of temperatures than DEFLATE.
-_PACKED: dict[str, Any] = {"compress": "zstd", "zstd_level": 22}
-_TEMPERATURES: dict[str, Any] = {"compress": "lerc_zstd", "zstd_level": 22, "max_z_error": 0}
+_PACKED: dict[str, Any] = {"compress": "zstd", "zstd_level": 19}
+_TEMPERATURES: dict[str, Any] = {"compress": "lerc_zstd", "zstd_level": 19, "max_z_error": 0}
 # Small rasters are one block, which needs no padding; those above this side are cut into blocks of `_BLOCK` [pixels].
 _ONE_BLOCK, _BLOCK = 2048, 512
 
