@@ -72,8 +72,6 @@ _GHOST_AGE = 4.0
 # Age [time constants] up to which a frame's own image is continued beyond its borders: e⁻³ of 1 K in 1 % of the pixels
 # is 5 mK.
 _RIM_AGE = 3.0
-# Step of the width of that continuation [px].
-_RIM_STEP_PX = 4
 
 # (column, row) (H, W) in one instant's image of the pixels of another, both by number in a Schedule.
 _Ways = Callable[[int, int], tuple[Image, Image]]
@@ -272,19 +270,20 @@ class Exposure:
             reach = np.maximum(reach, beyond)
         if reach.max() > most:
             return own, False
-        # In steps, so that the rays of a rim serve many frames.
-        wide = np.minimum(_RIM_STEP_PX * np.ceil(reach / _RIM_STEP_PX), most).astype(int)
-        left, top, right, bottom = wide.tolist()
-        if not wide.any():
+        left, top, right, bottom = np.ceil(np.maximum(reach, 0.0)).astype(int).tolist()
+        if left == top == right == bottom == 0:
             return own, False
-        rim = np.ones((height + top + bottom, width + left + right), bool)
-        inside = slice(top, top + height), slice(left, left + width)
+        # One camera, whose rays serve all frames, though few need all of its rim.
+        camera = self.sensor.camera.part(slice(-most, height + most), slice(-most, width + most))
+        inside = slice(most, most + height), slice(most, most + width)
+        around = slice(most - top, most + height + bottom), slice(most - left, most + width + right)
+        rim = np.zeros((camera.height, camera.width), bool)
+        rim[around] = True
         rim[inside] = False
         time_s = plan.times_s[plan.own]
-        camera = self.sensor.camera.part(slice(-top, height + bottom), slice(-left, width + right))
         image = self._radiance_at(time_s, camera, time_s, rim)
         image[inside] = radiance
-        return WideImage(self.sensor.blurred(image), left, top), True
+        return WideImage(self.sensor.blurred(image[around]), left, top), True
 
     def _seen(self, plan: Schedule, ways: _Ways, own: WideImage, motion: float) -> Schedule:
         """The Schedule with more renders where the images before and after do not see enough of an instant: the last
