@@ -136,15 +136,10 @@ def finish(name, figure, colours):
     save(name, Image.fromarray(drawn), colours, Image.Quantize.MAXCOVERAGE, kmeans=3)
 
 
-def first_view(folder):
-    """Return the Renderer of a scene and the first pose of its flight."""
-    scene = tr.load_scene(folder)
-    return tr.Renderer(scene), tr.load_trajectory(f"{folder}/flight.csv", scene).pose(0.0)
-
-
-def around(mask):
-    """Return the slices (rows, columns) around what a mask (H, W) shows."""
-    return tuple(slice(np.flatnonzero(mask.any(axis))[0], np.flatnonzero(mask.any(axis))[-1] + 1) for axis in (1, 0))
+def within(mask):
+    """Return the slices (rows, columns) of the inner two thirds of what a mask (H, W) shows."""
+    ends = [np.flatnonzero(mask.any(axis))[[0, -1]] for axis in (1, 0)]
+    return tuple(slice(first + (last - first) // 6, last - (last - first) // 6) for first, last in ends)
 
 
 def terrain():
@@ -178,19 +173,17 @@ def python():
 
 
 def compare():
-    """A photograph of the page's flight, a map's translation, the reference and the error."""
-    run("guides/compare.md", 1)
-    renderer, pose = first_view("small")
+    """A photograph of the shipped village, a map's translation, the reference and the error."""
+    renderer, pose = tr.Renderer(tr.load_scene("village")), tr.pose(-70, -60, 38, look_at=(0, 5, 0))
     image, known = photograph(renderer, pose)
     cv2.imwrite("photograph.png", image[..., ::-1])
     command("translate fok-1to1 photograph.png -o out/translated")
     truth = renderer.frame(pose).apparent_temperature
     error = read("out/translated/photograph.tif") * COUNT_K - truth
-    cut = around(known)
-    masked = [np.where(known, each, np.nan)[cut] for each in (truth + error, truth, error)]
+    masked = [np.where(known, each, np.nan) for each in (truth + error, truth, error)]
     low, high = np.nanpercentile(masked[1], (1, 99))
     figure, _ = panels(
-        ("photograph", np.where(known[..., None], image, 255)[cut]),
+        ("photograph", np.where(known[..., None], image, 255)),
         ("B fok-1to1", masked[0], low, high, "inferno"),
         ("reference", masked[1], low, high, "inferno"),
         ("error of B fok-1to1", masked[2], -15.0, 15.0, "RdBu_r"),
@@ -228,7 +221,7 @@ def learned_maps():
     run("guides/learned-maps.md", 4)
     image = read("out/pictures/frame_000000_visible.png")[..., ::-1]
     known = image.any(-1)
-    cut = around(known)
+    cut = within(known)
     files = "out/translated/frame_000000_visible.tif", "out/pictures/frame_000000_radiometric.tif"
     kelvin = [np.where(known, read(each) * COUNT_K, np.nan)[cut] for each in files]
     low, high = np.nanpercentile(kelvin[1], (1, 99))
@@ -263,10 +256,11 @@ def flight_logs():
 
 
 def campaign():
-    """Two pairs of the page's data set: a winter night from above, and a spring afternoon at an angle."""
+    """Two pairs of the page's data set from above: a winter night, and another hour."""
     pairs = run("guides/campaign.md", 2)["pairs"]
     shown = []
-    for entry in pairs.entries[0], pairs.entries[-1]:
+    above = [entry for entry in pairs.entries if entry.labels["view"] == "nadir"]
+    for entry in above[0], above[-1]:
         pair = pairs.pair(entry)
         kelvin = apparent_temperature(pair.radiance, pair.scale.band_um)
         shown += [

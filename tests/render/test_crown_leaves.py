@@ -107,7 +107,8 @@ def test_crowns_have_the_mean_of_their_leaves_and_state_the_scatter(tmp_path, pl
     renderer = tr.Renderer(coarse(fine, 4), rays=512)
     off, scatter, stated = [], [], []
     middle = (0.0, 2.5, 1.5)
-    views = [(45.0, 40.0, 30.0), (10.0, 160.0, 30.0), (45.0, 250.0, 120.0)]
+    # With pixels four times as wide as a camera's these are like 120 m, 480 m and 1 km.
+    views = [(45.0, 40.0, 30.0), (10.0, 160.0, 30.0), (45.0, 250.0, 120.0), (10.0, 330.0, 250.0)]
     for seed in range(SEEDS):
         scene = drawn(renderer, np.random.default_rng(seed))
         # 256 rays for each pixel: of 4 × 4 finer ones, whose number of rays is the largest.
