@@ -44,7 +44,7 @@ def renderer(tmp_path_factory):
 
 
 @pytest.mark.parametrize(("speed", "camera"), [
-    *slow((0.1, {}), (6.0, {})), (40.0, {}), (3.0, {"ffc_interval_s": 0.4, "ffc_duration_s": 0.1}),
+    *slow((0.1, {}), (6.0, {}), (40.0, {})), (3.0, {"ffc_interval_s": 0.4, "ffc_duration_s": 0.1}),
 ])  # fmt: skip
 def test_parts_in_any_order_give_the_bytes_of_one_machine(renderer, tmp_path, speed, camera):
     renderer = renderer_of(tmp_path / "scene", **camera) if camera else renderer

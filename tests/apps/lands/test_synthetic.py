@@ -123,7 +123,7 @@ def colour_residual(temperature, picture):
     return (target - design @ np.linalg.lstsq(design, target, rcond=None)[0]).std()
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["heath", *slow("ridge"), "village"])
 def test_a_small_scene_is_complete_and_plausible(kind):
     scene = small(kind)
     size, texel, post = SMALL[kind]
@@ -228,7 +228,7 @@ def test_flight_altitude_is_smooth_over_the_surface_model():
     assert np.ptp(altitude) < 3.0
 
 
-@pytest.mark.parametrize("kind", ["heath", "ridge", *slow("village")])
+@pytest.mark.parametrize("kind", ["ridge", *slow("heath", "village")])
 def test_shipped_scene_is_small_and_hard_to_guess(kind):
     assert sum(p.stat().st_size for p in (SCENES / kind).rglob("*") if p.is_file()) <= 10_000_000
     folder = SCENES / kind / "survey"
