@@ -105,6 +105,7 @@ def test_gaps_and_damaged_blocks_are_rendered(renderer, tmp_path):
     assert not (tmp_path / "parts" / FOLDER).exists()
 
 
+@pytest.mark.slow
 def test_blocks_with_a_flipped_bit_are_not_copied(renderer, tmp_path):
     """Counts make display images that depend on the frames before; the EXR makes the MCAP."""
     path = path_of(40.0)
