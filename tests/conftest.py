@@ -3,7 +3,7 @@
 import os
 
 import pytest
-from fixtures import _cache, _commands_built_once, call, call_module, run  # noqa: F401
+from fixtures import _cache, _commands_built_once, call, call_module, run, short_heat  # noqa: F401
 from hypothesis import HealthCheck, settings
 from support import allowed_skips
 

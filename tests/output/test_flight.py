@@ -25,6 +25,8 @@ from thermorender.sensor.display import DisplaySettings
 from thermorender.sensor.radiometric_files import read_temperature
 from thermorender.sensor.radiometry import ThermographySettings
 
+pytestmark = pytest.mark.usefixtures("short_heat")
+
 MARKER = scene_object("marker", [1, 1, 0.1], shape="disc")
 
 

@@ -23,6 +23,8 @@ from thermorender.scene.spec import AtmosphereSpec, EmissivitySpec, TemperatureS
 from thermorender.scene.surface import SURFACE
 from thermorender.scene.temperature_state import Available, Balance, Moved, Pending
 
+pytestmark = pytest.mark.usefixtures("short_heat")
+
 AT = "2018-07-28T15:00Z"
 CAR = MARKER.replace("marker", "car") + 'track = "car.csv"\n'
 

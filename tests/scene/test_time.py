@@ -33,6 +33,8 @@ from thermorender.render.plan import make_plan
 from thermorender.scene.spec import TemperatureSpec
 from thermorender.units import instant, utc_text
 
+pytestmark = pytest.mark.usefixtures("short_heat")
+
 DAY = """
 [weather]
 time = 2018-07-28T14:30:00Z

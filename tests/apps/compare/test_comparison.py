@@ -29,6 +29,8 @@ from thermorender.output.photograph import photograph
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.sensor.camera import load_camera, model_path
 
+pytestmark = pytest.mark.usefixtures("short_heat")
+
 ROOT = Path(__file__).resolve().parents[3]
 
 

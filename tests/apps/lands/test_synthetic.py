@@ -36,6 +36,8 @@ from thermorender.scene.load import load_scene
 from thermorender.scene.spec import TemperatureSpec, WeatherSpec
 from thermorender.scene.weathered_ground import in_weather
 
+pytestmark = pytest.mark.usefixtures("short_heat")
+
 try:
     import tomllib
 except ImportError:  # Python 3.10

@@ -28,6 +28,8 @@ from thermorender.render.flight.live import LiveFrames
 from thermorender.sensor.schedule import SUBPIXEL_PX
 from thermorender.trajectory.rotations import rotation_from_wxyz, wxyz
 
+pytestmark = pytest.mark.usefixtures("short_heat")
+
 DOWN = (0.0, 1.0, 0.0, 0.0)
 PRODUCTS = ("exr", "truth", "counts", "display")
 OBJECTS = scene_object("plate", [2, 2, 0.1], [0.5, 0.0, 0.2], shape="disc", track="plate.csv")
