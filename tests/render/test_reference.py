@@ -62,6 +62,7 @@ def test_renderer_against_the_reference(tmp_path, relief):
     assert np.abs(seen.radiance[ground] * 0.99 - first[ground]).mean() / MILLIKELVIN > 5 * limit
 
 
+@pytest.mark.slow
 def test_thin_leaves_hide_their_projected_area(tmp_path):
     """Black leaves of 280 K before black ground of 340 K: both engines show the areas of their silhouettes."""
     folder = tmp_path / "s"

@@ -507,6 +507,7 @@ def test_wrong_inputs_are_refused(base, tmp_path):
         Spectra((128, 128)).add(np.full((128, 128), np.nan))
 
 
+@pytest.mark.slow
 def test_real_camera(tmp_path):
     # Radiometric JPEGs of a Zenmuse XT, whose core is specified to have less than 50 mK at f/1.0.
     found = calibration.fit_camera([shared_data("pairs/thermal_only/eth_crops_xt/flight1/rjpeg")], "zenmuse-xt2")
