@@ -80,6 +80,7 @@ def public_names():
     return {(home, name) for name, home in exported().items()} | listed(USERS) | listed(APPLICATIONS)
 
 
+@cache
 def used_by_applications():
     """Return {(module inside the package, name): set of modules} that applications import from other rooms.
 
@@ -88,8 +89,10 @@ def used_by_applications():
     found = {}
     for module, path in modules().items():
         here = room_of(module) or ""
+        if not here.startswith("apps."):
+            continue
         for source, name in imported_names(path.read_text(encoding="utf-8")):
-            if here.startswith("apps.") and room_of(source) not in (here, "ground", None):
+            if room_of(source) not in (here, "ground", None):
                 found.setdefault((source, name), set()).add(module)
     return found
 
@@ -161,24 +164,29 @@ def imports(path, typing=True):
 
     Without `typing`, imports under `if TYPE_CHECKING:`, which never run, are left out.
     """
-    found, tree = set(), ast.parse(path.read_text(encoding="utf-8"))
-    skipped = set()
-    if not typing:
-        for node in ast.walk(tree):
-            if isinstance(node, ast.If) and getattr(node.test, "id", None) == "TYPE_CHECKING":
-                skipped |= {id(each) for part in node.body for each in ast.walk(part)}
-    for node in ast.walk(tree):
-        if id(node) in skipped:
-            continue
+    running, checked = _imports(path)
+    return running | checked if typing else running
+
+
+@cache
+def _imports(path):
+    """The sets of names that a file imports when it runs, and under `if TYPE_CHECKING:`; a file is parsed once."""
+    running, checked, skipped = set(), set(), set()
+    # The walk goes from the outside in: an `if` comes before what is under it.
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.If) and getattr(node.test, "id", None) == "TYPE_CHECKING":
+            skipped |= {id(each) for part in node.body for each in ast.walk(part)}
+        found = checked if id(node) in skipped else running
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             if node.level:
                 raise ValueError(f"{path}: a relative import; name the module from thermorender on")
             found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
-    return found
+    return frozenset(running), frozenset(checked)
 
 
+@cache
 def own_imports(typing=True):
     """Return {module: set of the package's modules it imports}, dotted names inside the package; see `imports`."""
     known = modules()

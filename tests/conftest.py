@@ -3,7 +3,7 @@
 import os
 
 import pytest
-from fixtures import _cache, _commands_built_once, call, call_module, run  # noqa: F401
+from fixtures import _cache, _commands_built_once, call, call_module, run, short_heat  # noqa: F401
 from hypothesis import HealthCheck, settings
 from support import allowed_skips
 
@@ -28,7 +28,7 @@ _take_one_core()
 
 # Number of examples for Hypothesis; `--hypothesis-profile slow` tries many. The examples are always the same, so that a
 # green test stays green.
-for name, count in (("default", 15), ("slow", 60)):
+for name, count in (("default", 8), ("slow", 60)):
     settings.register_profile(
         name, derandomize=True, database=None, deadline=None, max_examples=count,
         suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],

@@ -70,4 +70,13 @@ def run(call):
     return lambda *arguments: call("materials", *arguments)
 
 
+@pytest.fixture(scope="module")
+def short_heat():
+    """Short simulations of the heat balance for a whole module, whose subject is not their accuracy."""
+    from heat_support import short_simulations
+
+    with short_simulations():
+        yield
+
+
 # --- which tests may be skipped ---------------------------------------------------------------------------

@@ -16,6 +16,7 @@ CONVENTIONS, *ROOMS = re.split(r"^## ", PAGE, flags=re.M)[1:]
 ROOM_TEXT = {text.split("\n", 1)[0]: text for text in ROOMS}
 
 
+@functools.cache
 def names_of(room=None):
     """(identifiers of a room's code, with texts that are keys; "Class.member" of its classes); of all rooms if None."""
     modules = architecture.modules().items()

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mesh_support import Gltf
+from support import slow
 
 from scenes import scene_object, write_raster
 from thermorender import files
@@ -1042,7 +1043,7 @@ def test_old_llvm(scene, refused, no_llvm, monkeypatch, tmp_path):
 # --- a separate process -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("case", ["scene", "raster", "mesh", "log", "option"])
+@pytest.mark.parametrize("case", [*slow("scene", "mesh", "log"), "raster", "option"])
 def test_as_a_process(scene, tmp_path, case):
     """Nothing else writes to the error stream: no logging, no library, no progress bar."""
     arguments, words = ["render", str(scene)], "scene.toml"

@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from support import slow
 
 from thermorender.cli import registry
 from thermorender.progress import progress
@@ -124,7 +125,7 @@ def test_outputs_of_the_wrong_kind_are_refused_before_any_work(words, output, fr
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
-@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("name", ["SIGTERM", *slow("SIGHUP")])
 def test_terminated_process_cleans_up(tmp_path, name):
     """Terminated by SIGTERM, as `timeout`, `docker stop` and systemd do, or by the end of its terminal."""
     number = getattr(signal, name)

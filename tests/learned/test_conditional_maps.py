@@ -25,6 +25,8 @@ from thermorender.scene.spec import TemperatureSpec
 from thermorender.scene.surface import FALLBACK, SURFACE
 from thermorender.scene.temperature_state import Conditional, Pending
 
+pytestmark = pytest.mark.usefixtures("short_heat")
+
 BEGIN, AT = np.datetime64("2018-07-27T00:00:00"), np.datetime64("2018-07-28T12:00:00")
 HOUR = np.timedelta64(3600, "s")
 STATION = '[weather]\ntime = 2018-07-28T12:00:00Z\nfile = "station.csv"\n'

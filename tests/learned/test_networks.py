@@ -184,7 +184,7 @@ def test_neighbouring_tiles_fade_into_each_other():
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("shape", [(1, 1), (37, 300), (256, 256)])
+@pytest.mark.parametrize("shape", [(1, 1), (37, 300), pytest.param((256, 256), marks=pytest.mark.slow)])
 def test_pictures_of_any_size_and_colour(name, shape):
     predictor = network(name)
     for colour in ((0, 0, 0), (255, 255, 255), (128, 128, 128), (255, 0, 255)):

@@ -18,6 +18,8 @@ from thermorender.scene import open_ground
 from thermorender.scene.load import load_scene
 from thermorender.weather.series import Weather
 
+pytestmark = pytest.mark.usefixtures("short_heat")
+
 # The sun is in the south.
 AT = np.datetime64("2018-07-28T10:42:00")
 HOUR = np.timedelta64(3600, "s")

@@ -12,6 +12,8 @@ from thermorender.output.provenance import weather_of
 from thermorender.scene import open_ground
 from thermorender.scene.load import load_scene
 
+pytestmark = pytest.mark.usefixtures("short_heat")
+
 # A quarter of the terrain is sand, the rest grass or granite.
 CLASSES = np.repeat([[1] * 48 + [2] * 16], 64, axis=0)
 

@@ -44,7 +44,7 @@ def renderer(tmp_path_factory):
 
 
 @pytest.mark.parametrize(("speed", "camera"), [
-    *slow((0.1, {}), (6.0, {})), (40.0, {}), (3.0, {"ffc_interval_s": 0.4, "ffc_duration_s": 0.1}),
+    *slow((0.1, {}), (6.0, {}), (40.0, {})), (3.0, {"ffc_interval_s": 0.4, "ffc_duration_s": 0.1}),
 ])  # fmt: skip
 def test_parts_in_any_order_give_the_bytes_of_one_machine(renderer, tmp_path, speed, camera):
     renderer = renderer_of(tmp_path / "scene", **camera) if camera else renderer
@@ -105,6 +105,7 @@ def test_gaps_and_damaged_blocks_are_rendered(renderer, tmp_path):
     assert not (tmp_path / "parts" / FOLDER).exists()
 
 
+@pytest.mark.slow
 def test_blocks_with_a_flipped_bit_are_not_copied(renderer, tmp_path):
     """Counts make display images that depend on the frames before; the EXR makes the MCAP."""
     path = path_of(40.0)

@@ -25,6 +25,8 @@ from thermorender.sensor.display import DisplaySettings
 from thermorender.sensor.radiometric_files import read_temperature
 from thermorender.sensor.radiometry import ThermographySettings
 
+pytestmark = pytest.mark.usefixtures("short_heat")
+
 MARKER = scene_object("marker", [1, 1, 0.1], shape="disc")
 
 
@@ -188,7 +190,7 @@ def test_damaged_files_are_rendered_again(setting, tmp_path, damage):
     assert contents(tmp_path / "f") == whole
 
 
-@pytest.mark.parametrize(("copied", "product"), [("_counts.png", None), (".exr", "mcap"), (".png", "video")])
+@pytest.mark.parametrize(("copied", "product"), [("_counts.png", None), *slow((".exr", "mcap")), (".png", "video")])
 def test_resume_does_not_copy_a_flipped_bit_into_another_file(setting, tmp_path, copied, product):
     """Only files from which others are made are read again without `verify`."""
     renderer, path = setting
@@ -221,7 +223,7 @@ def test_hovering_flight_starts_as_a_single_frame(setting, tmp_path):
     np.testing.assert_array_equal(counts, renderer.frame(path.pose(0.0)).counts)
 
 
-@pytest.mark.parametrize("lost", ["nothing", "the state", "half of the state"])
+@pytest.mark.parametrize("lost", ["nothing", *slow("the state"), "half of the state"])
 def test_resume_restores_the_pixels_memory(setting, tmp_path, lost):
     # At 100 Hz a third of a frame is the previous signal; at 4 Hz nothing would be.
     renderer, path = setting
@@ -240,7 +242,7 @@ def test_resume_restores_the_pixels_memory(setting, tmp_path, lost):
     assert not list((tmp_path / "part").glob("sensor*"))
 
 
-@pytest.mark.parametrize("lost", [False, True])
+@pytest.mark.parametrize("lost", [*slow(False), True])
 def test_resume_continues_the_gain_control(setting, tmp_path, lost):
     renderer, path = setting
     display = DisplaySettings("plateau", "ironbow", memory_s=1.0)
@@ -397,7 +399,7 @@ def test_resume_compares_everything_that_the_bytes_depend_on(setting, tmp_path):
                 fly(renderer, path, folder, flight, resume=True)
 
 
-@pytest.mark.parametrize("damage", ["not JSON", "frame 2 replaced by 1", "a line missing", "another number"])
+@pytest.mark.parametrize("damage", ["not JSON", "frame 2 replaced by 1", *slow("a line missing", "another number")])
 def test_resume_from_a_damaged_record(setting, tmp_path, damage):
     renderer, path = setting
     flight = FlightOptions(rate_hz=4.0, products=("counts",))

@@ -12,7 +12,7 @@ from functools import partial
 import cv2
 import numpy as np
 import pytest
-from support import contents, interrupted
+from support import contents, interrupted, slow
 
 from tests.robustness import crash_targets
 from thermorender import files, timing
@@ -143,7 +143,7 @@ def test_frames_that_take_longer_to_write_keep_their_order(scene, tmp_path, monk
     assert contents(tmp_path / "a/work/out") == contents(tmp_path / "b/work/out")
 
 
-@pytest.mark.parametrize("fault", ["full", "broken"])
+@pytest.mark.parametrize("fault", ["full", *slow("broken")])
 def test_an_error_while_a_frame_is_written_stops_the_flight(scene, tmp_path, monkeypatch, fault):
     (tmp_path / "a").mkdir()
     flown(scene, tmp_path / "a", products=("exr", "counts"))

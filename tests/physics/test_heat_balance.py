@@ -286,7 +286,7 @@ def test_snow_melts_at_the_melting_point_by_the_heat_it_receives():
     assert noon and sum(fluxes.molten for *_, fluxes in noon) > 0.0
 
 
-@pytest.mark.parametrize(("count", "error"), [(LAYERS, 0.04), (30, 0.012)])
+@pytest.mark.parametrize(("count", "error"), [(LAYERS, 0.04), *slow((30, 0.012))])
 def test_freezing_of_moist_soil_against_neumann(count, error):
     """Front at 2λ√(at), heat lost 2kΔT√(t/πa)/erf λ, λ e^(λ²) erf λ = cΔT/(√π L): Carslaw & Jaeger (1959), 11.2."""
     from scipy.optimize import brentq

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support import slow
 
 import thermorender as tr
 from scenes import narrow, scene_object, write_terrain
@@ -23,7 +24,7 @@ def shares(pose, camera, finer=32):
     return found
 
 
-@pytest.mark.parametrize("quality", ["standard", "high"])
+@pytest.mark.parametrize("quality", ["standard", *slow("high")])
 @pytest.mark.parametrize("roll_deg", [0.0, 33.0])
 def test_a_pixel_on_the_horizon_has_its_share_of_sky(tmp_path, quality, roll_deg):
     extra = "[surroundings]\ntemperature = 295.0\n"

@@ -82,7 +82,7 @@ def test_parts_are_those_of_the_path_tracer(tmp_path):
         assert error < 0.025 and abs(mean(found, part) - values.mean()) < 4.0 * error, part
 
 
-@pytest.mark.parametrize("case", ["plain", "air", "mirror", "track"])
+@pytest.mark.parametrize("case", ["plain", *slow("air"), "mirror", "track"])
 def test_parts_add_up_to_the_image(tmp_path, case):
     """Pixels smaller than texel and face read what the rays through their middles meet."""
     more = {

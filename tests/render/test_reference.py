@@ -7,6 +7,7 @@ import pytest
 import trimesh
 from copies_support import leaves
 from scipy.spatial import ConvexHull
+from support import slow
 
 import thermorender as tr
 from scenes import coarse, scene_object, write_materials, write_mesh, write_terrain
@@ -37,7 +38,7 @@ def test_reference_in_an_isothermal_enclosure(tmp_path, emissivity):
     assert abs(error) < 2 * MILLIKELVIN
 
 
-@pytest.mark.parametrize("relief", [0.0, 1.0])
+@pytest.mark.parametrize("relief", [*slow(0.0), 1.0])
 def test_renderer_against_the_reference(tmp_path, relief):
     rows, columns = np.mgrid[:24, :24]
     height = relief * (np.sin(rows / 2.0) + np.cos(columns / 3.0))
@@ -61,6 +62,7 @@ def test_renderer_against_the_reference(tmp_path, relief):
     assert np.abs(seen.radiance[ground] * 0.99 - first[ground]).mean() / MILLIKELVIN > 5 * limit
 
 
+@pytest.mark.slow
 def test_thin_leaves_hide_their_projected_area(tmp_path):
     """Black leaves of 280 K before black ground of 340 K: both engines show the areas of their silhouettes."""
     folder = tmp_path / "s"
@@ -104,7 +106,7 @@ def test_refusals(tmp_path):
         reference.render(scene, np.eye(4), samples=0)
 
 
-@pytest.mark.parametrize("height_m", [30.0, 3000.0])
+@pytest.mark.parametrize("height_m", [*slow(30.0), 3000.0])
 def test_a_wall_reflects_the_same_horizon_from_any_height(tmp_path, height_m):
     """Half of the light that a steep wall reflects is sky, whatever the height of the camera."""
     tilt = np.radians(70.0)

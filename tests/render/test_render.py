@@ -272,7 +272,7 @@ def test_pixels_on_an_edge_are_shared(tmp_path):
     assert many.min() - 1e-4 * contrast < shared.min() and shared.max() < many.max() + 1e-4 * contrast
 
 
-@pytest.mark.parametrize("quality", ["fast", "standard", "high"])
+@pytest.mark.parametrize("quality", [*slow("fast"), "standard", *slow("high")])
 def test_the_sampling_error_is_below_its_budget(tmp_path, quality):
     random = np.random.default_rng(6)
     extra = scene_object("box", [2, 1, 1], [1, 2, 0], yaw_deg=20)

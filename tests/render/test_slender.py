@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from support import slow
 
 import thermorender as tr
 from scenes import plane, scene_object, write_mesh
@@ -44,7 +45,7 @@ def added(tmp_path, up, size, kelvin, **turned):
         (500, (0.013, 0.013, 0.001), 1000.0, {"yaw": 10.0, "place": (3.3, 5.1)}),  # 4e-4 of a pixel
         (5000, (0.01, 0.01, 0.001), 1000.0, {"place": (171.3, -55.7)}),  # 2e-6 of a pixel
         (300, (0.04, 30.0, 0.01), 420.0, {"yaw": 33.0}),
-        (300, (0.04, 30.0, 0.01), 420.0, {"yaw": 90.0, "place": (0.07, 0.03)}),
+        *slow((300, (0.04, 30.0, 0.01), 420.0, {"yaw": 90.0, "place": (0.07, 0.03)})),
         (1000, (1.8, 4.2, 0.05), 330.0, {"yaw": 70.0, "place": (20.0, 11.0)}),
     ],
 )

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from support import slow
 
 import thermorender as tr
 from scenes import plane, scene_object, write_materials, write_mesh, write_terrain
@@ -50,7 +51,7 @@ def kelvin_apart(radiance, exact):
     return (radiance - exact) / band_radiance_derivative(brightness_temperature(exact, *BAND), *BAND)
 
 
-@pytest.mark.parametrize("material", ["water_fresnel", "water_breeze", "silica_fused", "gold_polished", "sheen"])
+@pytest.mark.parametrize("material", ["water_fresnel", *slow("water_breeze", "silica_fused"), "gold_polished", "sheen"])
 def test_level_mirror_under_an_isotropic_sky(tmp_path, material):
     scene = tr.load_scene(write(tmp_path / "s", plane(4e4), material))
     pose = tr.pose(0, 0, 10, pitch_deg=-18)
@@ -99,7 +100,7 @@ def even_air(folder, absorption=(2e-3, 1e-2)):
 
 
 @pytest.mark.parametrize("track", ["", 'track = "still.csv"'])
-@pytest.mark.parametrize("material", ["gold_polished", "sheen"])
+@pytest.mark.parametrize("material", ["gold_polished", *slow("sheen")])
 def test_a_mirror_image_is_seen_through_the_air_between(tmp_path, material, track):
     """A level mirror, a black roof of 400 K above it, and a camera between them, all in air of one density."""
     roof = scene_object("roof", (400, 400, 1), (0, 0, 60), 400.0, "black") + track
@@ -135,8 +136,8 @@ def test_a_mirror_image_is_seen_through_the_air_between(tmp_path, material, trac
     assert np.abs(kelvin_apart(without, exact)).min() > 5.0
 
 
-@pytest.mark.parametrize(("height", "pitch"), [(1.5, -14.0), (120.0, -45.0), (3000.0, -60.0)])
-@pytest.mark.parametrize("material", ["water_fresnel", "silica_fused"])
+@pytest.mark.parametrize(("height", "pitch"), [(1.5, -14.0), *slow((120.0, -45.0)), (3000.0, -60.0)])
+@pytest.mark.parametrize("material", ["water_fresnel", *slow("silica_fused")])
 def test_level_mirror_behind_air(tmp_path, height, pitch, material):
     # Small faces, because a chord over kilometres would be deep in the air of a round Earth.
     scene = tr.load_scene(write(tmp_path / "s", plane(8.0 * height), material, 290.0, air=AIR))
@@ -253,7 +254,7 @@ def test_dynamic_mirrors_and_dynamic_objects_in_mirrors(tmp_path):
     assert plate.sum() > 1000 and np.percentile(apart[plate], 90) < 0.05
 
 
-@pytest.mark.parametrize("depth", [1, 2])
+@pytest.mark.parametrize("depth", [*slow(1), 2])
 def test_a_mirror_in_a_mirror(tmp_path, monkeypatch, depth):
     """The sky in a wall of gold in water: where the wall is rendered as diffuse, the frame reports its error."""
     monkeypatch.setattr(mirrors, "DEPTH", depth)

@@ -41,8 +41,8 @@ def _fewer_kills():
 
 # Cases with many processes, one after the other, or hundreds of frames.
 LONG = (
-    "killed at random", "two flights", "full at each", "clock goes", "is killed: neither", "kernels on disk", "growth",
-    "on a full disk: ends lost", "does not hold: flights refused", "inputs cut to nothing",
+    "killed at random", "two flights", "full at each", "clock goes", "has no right", "is killed: neither",
+    "kernels on disk", "growth", "on a full disk: ends lost", "does not hold: flights refused", "inputs cut to nothing",
 )  # fmt: skip
 
 

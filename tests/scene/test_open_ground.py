@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from support import slow
 
 from thermorender.materials.library import load_library
 from thermorender.scene import open_ground
 from thermorender.weather.named_day import named_day
 
 
-@pytest.mark.parametrize("name", ["asphalt", "grass_green", "grass_dry", "conifer", "sand_quartz"])
+@pytest.mark.parametrize("name", ["asphalt", "grass_green", *slow("grass_dry"), "conifer", *slow("sand_quartz")])
 def test_no_mean_heat_flows_into_the_depth_of_a_settled_column(name):
     """The deepest layer has the mean of the first layer; 250 repeated days differ by 0.2 K at most."""
     weather = named_day(np.datetime64("2018-07-28T12:00:00"), (52.0, 21.0, 100.0), air_low_c=12.0, air_high_c=24.0,

@@ -200,7 +200,7 @@ def test_light_changes_up_a_wall_of_two_triangles(tmp_path):
     scene = scene.with_camera(camera)
     view = pose(14.0, 0.0, 4.0, yaw_deg=270.0)
     found = tr.Renderer(scene, rays=512, samples=16).radiance(view)
-    paths = np.array([reference.render(scene, view, samples=2048, depth=12, seed=seed) for seed in range(4)])
+    paths = np.array([reference.render(scene, view, samples=1024, depth=12, seed=seed) for seed in range(4)])
     height = 4.0 - 14.0 * camera.directions(np.stack([np.full(24, 16.0), np.arange(24) + 0.5], axis=-1))[:, 1]
     per_mk = 1e-3 * band_radiance_derivative(300.0, *camera.band_um)
     off = []

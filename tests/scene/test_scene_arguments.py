@@ -15,6 +15,8 @@ from thermorender.physics.planck import band_radiance
 from thermorender.scene.load import scene_folder
 from thermorender.scene.spec import AtmosphereSpec, EmissivitySpec, TemperatureSpec, WeatherSpec
 
+pytestmark = pytest.mark.usefixtures("short_heat")
+
 LATER = "2018-07-28T15:00Z"
 KELVIN = np.full((32, 32), 300.0, np.float32)
 ARRAYS = ("vertices", "faces", "uv", "colour", "material", "temperature", "flags")

@@ -23,6 +23,8 @@ from thermorender.scene.spec import AtmosphereSpec, EmissivitySpec, TemperatureS
 from thermorender.scene.surface import SURFACE
 from thermorender.scene.temperature_state import Available, Balance, Moved, Pending
 
+pytestmark = pytest.mark.usefixtures("short_heat")
+
 AT = "2018-07-28T15:00Z"
 CAR = MARKER.replace("marker", "car") + 'track = "car.csv"\n'
 
@@ -95,7 +97,19 @@ CONTRADICT = [{"sun", "balance"}, {"class", "learned materials"}, {"instant", "m
 PAIRS = [set(pair) for pair in itertools.combinations(EDITS, 2)]
 
 
-@pytest.mark.parametrize("pair", [sorted(pair) for pair in PAIRS if pair not in SAME + CONTRADICT], ids=" and ".join)
+# Seconds each, as a map is applied to each scene: one pair of them is quick enough.
+LEARNED = [pair for pair in PAIRS if "learned materials" in pair and pair != {"material", "learned materials"}]
+
+
+@pytest.mark.parametrize(
+    "pair",
+    [
+        pytest.param(sorted(pair), marks=[pytest.mark.slow] if pair in LEARNED else [])
+        for pair in PAIRS
+        if pair not in SAME + CONTRADICT
+    ],
+    ids=" and ".join,
+)
 def test_two_edits_in_either_order_make_the_same_scene(weathered, pair):
     """Under air where the sun needs it."""
     base = weathered if "sun" not in pair or pair == ["sky", "sun"] else weathered.with_air("midlatitude-summer")

@@ -16,7 +16,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 import trimesh
-from support import contents, interrupted
+from support import contents, interrupted, slow
 
 import thermorender as tr
 from scenes import coarse, write_balance, write_mesh, write_terrain
@@ -32,6 +32,8 @@ from thermorender.render.flight import timed
 from thermorender.render.plan import make_plan
 from thermorender.scene.spec import TemperatureSpec
 from thermorender.units import instant, utc_text
+
+pytestmark = pytest.mark.usefixtures("short_heat")
 
 DAY = """
 [weather]
@@ -398,7 +400,7 @@ def test_light_is_traced_once_for_a_flight(scene, path, tmp_path, monkeypatch):
     assert len(traced) == 1
 
 
-@pytest.mark.parametrize("done", [3, 7, 12])
+@pytest.mark.parametrize("done", [*slow(3), 7, *slow(12)])
 def test_a_resumed_flight_over_steps_gives_the_same_bytes(scene, path, tmp_path, done, monkeypatch):
     monkeypatch.setattr(timed, "TOGETHER", 1)
     flight = FlightOptions(rate_hz=0.1, products=("counts", "display"))

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from support import slow
 from weather_support import PLACE, hours, station, sunlight, write_epw, write_tmy3
 
 from scenes import write_terrain
@@ -91,7 +92,7 @@ def shifted(path, minutes, days=130):
     return cells(path, change, 8)
 
 
-@pytest.mark.parametrize("minutes", [30, -30, 40])
+@pytest.mark.parametrize("minutes", [*slow(30), -30, *slow(40)])
 def test_advice_on_half_an_hour_leads_on(tmp_path, minutes):
     path = shifted(tmp_path / "a.epw", minutes)
     with pytest.raises(ThermorenderError, match="light_shift_min = ") as error:

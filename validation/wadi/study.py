@@ -91,17 +91,25 @@ def at_station(albedo=ALBEDO, **thermal):
 
     `thermal` replaces properties of the material's table.
     """
+    return at_station_of([(albedo, thermal)])[0]
+
+
+def at_station_of(cases):
+    """Return what `at_station` does for each of some (albedo, replaced properties), (cases, N) [K], all at once."""
     own, air = station(), weather()
-    material = load_library()[MATERIAL]
-    material = replace(material, thermal=replace(material.known_thermal(), **thermal))
-    columns = open_ground.columns([replace(material, solar_absorptance=1.0 - albedo)], air)
+    usual = load_library()[MATERIAL]
+    grounds = [
+        replace(usual, solar_absorptance=1.0 - albedo, thermal=replace(usual.known_thermal(), **thermal))
+        for albedo, thermal in cases
+    ]
+    columns = open_ground.columns(grounds, air)
     now, found = air.time[0] + np.timedelta64(1, "D"), []
     state, _ = open_ground.settled(columns, air, now)
     for at in own["time"]:
         state = open_ground.march(columns, air, state, now, at)[-1] if at > now else state
         now = max(now, at)
-        found.append(float(state.surface_k[0]) - ZERO_CELSIUS_K)
-    return np.array(found) - own["ground_c"]
+        found.append(state.surface_k - ZERO_CELSIUS_K)
+    return np.array(found).T - own["ground_c"]
 
 
 def scene_of(folder, surface_model, title):

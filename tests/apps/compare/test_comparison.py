@@ -18,6 +18,7 @@ from scenes import WEATHER, coarse, write_balance, write_terrain
 from thermorender.apps.compare import (
     comparison,
     emissivities,
+    figures,
     report,
 )
 from thermorender.apps.compare import view as views
@@ -29,7 +30,15 @@ from thermorender.output.photograph import photograph
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.sensor.camera import load_camera, model_path
 
+pytestmark = pytest.mark.usefixtures("short_heat")
+
 ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture
+def without_drawings(monkeypatch):
+    """Comparisons whose numbers alone count: drawing their frames takes most of the time."""
+    monkeypatch.setattr(figures, "error_images", lambda *_: None)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +57,9 @@ def planted(ground, tmp_path_factory):
         "metal": frames_of(other, 5, place / "metal", factor=2),
     }
     flown = flight(ground, poses=5, factor=2)
-    return compare([flown], place / "c", [], Options(foreign=folders, arrays=True, settings={"rays": 8}))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(figures, "error_images", lambda *_: None)
+        return compare([flown], place / "c", [], Options(foreign=folders, arrays=True, settings={"rays": 8}))
 
 
 def test_a_map_that_made_the_ground_has_no_error_and_is_called_circular(tmp_path):
@@ -81,7 +92,7 @@ def test_a_map_that_made_the_ground_has_no_error_and_is_called_circular(tmp_path
     assert (tmp_path / "c/pictures/s_0000.png").stat().st_size > 10_000
 
 
-def test_statistics_follow_from_pixels_csv(ground, tmp_path):
+def test_statistics_follow_from_pixels_csv(ground, tmp_path, without_drawings):
     level = uniform_map(tmp_path / "level.npz", 0.5)
     found = compare([flight(ground)], tmp_path / "c", [level], Options(settings={"rays": 8}))
     sums = defaultdict(lambda: np.zeros(4))
@@ -101,7 +112,7 @@ def test_statistics_follow_from_pixels_csv(ground, tmp_path):
             assert reported["sd_k"] == pytest.approx(np.sqrt(square / n - (mean / n) ** 2), abs=1e-6)
 
 
-def test_errors_equal_those_of_separately_rendered_frames(ground, tmp_path):
+def test_errors_equal_those_of_separately_rendered_frames(ground, tmp_path, without_drawings):
     level = uniform_map(tmp_path / "level.npz", 0.25)
     found = compare([flight(ground)], tmp_path / "c", [level], Options(arrays=True, settings={"rays": 8}))
     one = flight(ground)
@@ -344,7 +355,7 @@ def test_compare_reads_a_flight_log_as_fly_does(ground, tmp_path, call, monkeypa
     assert flown.poses[0, :3, 2] == pytest.approx([0.0, 0.0, -1.0], abs=1e-9)
 
 
-def test_ground_is_followed_from_frame_to_frame(ground, tmp_path):
+def test_ground_is_followed_from_frame_to_frame(ground, tmp_path, without_drawings):
     """The reference changes by sampling only; a method that warms by 0.5 K per frame changes by that."""
     folders = {"drifting": frames_of(ground, 3, tmp_path / "drifting", lambda kelvin, k: kelvin + 0.5 * k)}
     found = compare([flight(ground)], tmp_path / "c", [], Options(foreign=folders, settings={"rays": 8}))

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import slow
 
 import thermorender as tr
 from thermorender.apps.lands.procedural import three_d
@@ -148,7 +149,7 @@ def test_normals_are_those_of_the_slope():
     assert apart.max() < 0.5
 
 
-@pytest.mark.parametrize("kind", SMALL)
+@pytest.mark.parametrize("kind", ["heath", *slow(*(kind for kind in SMALL if kind != "heath"))])
 def test_the_ring_closes_the_horizon_from_all_heights_of_flight(kind):
     far, canvas = made(kind)
     mesh = far.mesh()

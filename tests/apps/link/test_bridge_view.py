@@ -84,7 +84,7 @@ def test_half_requests_end_and_keep_no_viewer_out(view, monkeypatch):
             trickling.sendall(b"x")
             time.sleep(0.05)
     monkeypatch.setattr(bridge, "_TIMEOUT_S", 60.0)
-    idle = [socket.create_connection(("127.0.0.1", view.port), timeout=20.0) for _ in range(40)]
+    idle = [socket.create_connection(("127.0.0.1", view.port), timeout=5.0) for _ in range(40)]
     with pytest.raises(urllib.error.HTTPError, match="404"):
         urllib.request.urlopen(f"{view.address}x", timeout=10.0)
     # Those that wait longest made room.

@@ -426,7 +426,7 @@ def test_width_of_a_blurred_step(sigma):
     assert abs(width - sigma) < 0.0112 * sigma and 0.02 < uncertainty < 0.025
 
 
-@pytest.mark.parametrize("blur", [0.4, 0.8])
+@pytest.mark.parametrize("blur", [0.4, *slow(0.8)])
 def test_lens_blur_excludes_pixel_and_diffraction(blur):
     quiet = dict.fromkeys(("sigma_tv_mk", "sigma_th_mk", "sigma_v_mk", "sigma_h_mk", "sigma_vh_mk"), 0.0)
     camera = replace(CAMERA, blur_sigma_px=blur, netd_mk=30.0, **quiet)
@@ -507,6 +507,7 @@ def test_wrong_inputs_are_refused(base, tmp_path):
         Spectra((128, 128)).add(np.full((128, 128), np.nan))
 
 
+@pytest.mark.slow
 def test_real_camera(tmp_path):
     # Radiometric JPEGs of a Zenmuse XT, whose core is specified to have less than 50 mK at f/1.0.
     found = calibration.fit_camera([shared_data("pairs/thermal_only/eth_crops_xt/flight1/rjpeg")], "zenmuse-xt2")

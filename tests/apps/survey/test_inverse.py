@@ -273,6 +273,7 @@ def test_poses_are_registered_to_the_orthophoto_where_the_prior_has_no_contrast(
     assert ground_error(found, clean.poses, renderer) < 0.15
 
 
+@pytest.mark.slow
 def test_tilts_of_frames_are_found_where_they_exceed_the_noise(survey):
     scene, clean, truth, _ = survey
     flown, offsets = with_errors(clean)

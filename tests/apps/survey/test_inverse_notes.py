@@ -31,6 +31,8 @@ from thermorender.physics.planck import brightness_temperature
 from thermorender.render.renderer import Renderer
 from thermorender.sensor.camera import load_camera
 
+pytestmark = pytest.mark.usefixtures("short_heat")
+
 COUNT = 8
 POND = Reference("pond", 0.0, 0.0, 1.0, 290.0, 0.1)
 

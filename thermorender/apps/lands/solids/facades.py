@@ -97,15 +97,16 @@ def facade(
         stain = 0.04 * draw.standard_normal(s.shape) - foot
         tone = np.asarray(colour, np.float64) * np.exp(stain)[..., None]
         number = np.full(s.shape, value(material))
-        for storey in range(storeys):
-            for k in range(columns):
-                middle = wide_m * (k + 0.5) / columns
-                away = np.abs(x - middle) - 0.5 * _WIDE_M
-                up = np.abs(z - storey * _STOREY_M - _SILL_M - 0.5 * _WINDOW_M) - 0.5 * _WINDOW_M
-                inside = np.maximum(away, up)
-                tone = np.where((inside < 0.1)[..., None], frame, tone)
-                tone = np.where((inside < 0.0)[..., None], pane, tone)
-                number = np.where(inside < 0.0, value(GLASS), number)
+        if storeys > 0 and columns > 0:
+            # Windows with their frames do not meet: only the nearest counts.
+            nearest = np.clip(np.floor(x * columns / wide_m), 0, columns - 1)
+            storey = np.clip(np.rint((z - _SILL_M - 0.5 * _WINDOW_M) / _STOREY_M), 0, storeys - 1)
+            away = np.abs(x - wide_m * (nearest + 0.5) / columns) - 0.5 * _WIDE_M
+            up = np.abs(z - storey * _STOREY_M - _SILL_M - 0.5 * _WINDOW_M) - 0.5 * _WINDOW_M
+            inside = np.maximum(away, up)
+            tone = np.where((inside < 0.1)[..., None], frame, tone)
+            tone = np.where((inside < 0.0)[..., None], pane, tone)
+            number = np.where(inside < 0.0, value(GLASS), number)
         if door:
             middle = wide_m * 0.5 / max(columns, 1) if columns % 2 else 0.5 * wide_m
             here = (np.abs(x - middle) < 0.55) & (z < 2.1)

@@ -13,7 +13,9 @@ class LocalListener:
     """A server on 127.0.0.1 in a thread of its own; port 0 chooses a free one. `what` names it in messages."""
 
     def __init__(self, kind: type[Any], handler: type[Any], port: int, what: str) -> None:
-        listener = type("Listener", (kind,), {"allow_reuse_address": True, "daemon_threads": True})
+        # Of many connections at once, those beyond the queue would be tried again after a second or more.
+        own = {"allow_reuse_address": True, "daemon_threads": True, "request_queue_size": 256}
+        listener = type("Listener", (kind,), own)
         try:
             self._listener: socketserver.TCPServer = listener((HOST, port), handler)
         except OSError as error:

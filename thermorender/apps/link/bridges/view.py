@@ -90,11 +90,13 @@ class View(LocalListener):
         timer = threading.Timer(_TIMEOUT_S, _end, [connection])
         timer.daemon = True
         with self._news:
+            # Taken out at once, so that connections which arrive together make each another one end.
             oldest = next(iter(self._waiting)) if len(self._waiting) >= _MOST_WAITING else None
+            ended = None if oldest is None else self._waiting.pop(oldest)
             self._waiting[connection] = timer
         timer.start()
-        if oldest is not None:
-            self._heard(oldest)
+        if oldest is not None and ended is not None:
+            ended.cancel()
             _end(oldest)
 
     def _heard(self, connection: socket.socket) -> None:
