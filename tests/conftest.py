@@ -28,7 +28,7 @@ _take_one_core()
 
 # Number of examples for Hypothesis; `--hypothesis-profile slow` tries many. The examples are always the same, so that a
 # green test stays green.
-for name, count in (("default", 8), ("slow", 60)):
+for name, count in (("default", 15), ("slow", 60)):
     settings.register_profile(
         name, derandomize=True, database=None, deadline=None, max_examples=count,
         suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],

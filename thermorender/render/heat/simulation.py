@@ -3,8 +3,8 @@ surroundings.
 
 Every texel is a column: its material on the layers beneath, at its position on the mesh. At the end of every step a
 shadow ray from each texel tests for the sun, whose share is linear in time between. Reflected sunlight and the
-long-wave radiation of the surroundings use the rays of the scene's light. They are one value per face, solved every
-half hour between columns at the faces' middles.
+long-wave radiation of the surroundings use the rays of the scene's light. They are one value per face, solved between
+columns at the faces' middles, every hour and in the last four hours every half hour.
 
 A simulation begins two days before the first instant requested, from settled columns in the open: one day leaves 0.1 K
 (RMS) in a village, 0.4 K in its water. Texels are simulated in blocks, each together with all faces, which bounds
@@ -47,9 +47,9 @@ Progress = Callable[[str, float], object]
 
 # Time simulated before the first instant [s].
 _BEFORE_S = 48 * 3600.0
-# Interval between solutions of the light between faces [s], or a step if that is longer; rays per face; reflections of
-# the first solution.
-_LIGHT_S, _RAYS, _REFLECTIONS = 1800.0, 64, 4
+# Interval between solutions of the light between faces while texels share columns, and later [s], or a step if that is
+# longer; rays per face; reflections of the first solution.
+_SHARED_LIGHT_S, _LIGHT_S, _RAYS, _REFLECTIONS = 3600.0, 1800.0, 64, 4
 # Time before the first instant in which each texel has its own sun; earlier those of a face and material share it [s].
 _OWN_S = 4 * 3600.0
 _DAY_S = 86400
@@ -378,10 +378,11 @@ class _Simulation:
                 state = State(surface_k, own_of(state.layers_k), film, liquid, remainder_k)
                 columns, _ = self._columns(texels)
                 _evaluate(state)
-                own, sun = None, _SunShares(self)
+                own, sun, light = None, _SunShares(self), None
             sun.step(columns, at, seconds, own is not None)
             if light is None or at >= light.until:
-                light = self._light(at, seconds, balance.seen_k(state, columns.ground), columns, sun)
+                every_s = max(_LIGHT_S if own is None else _SHARED_LIGHT_S, seconds)
+                light = self._light(at, seconds, every_s, balance.seen_k(state, columns.ground), columns, sun)
             first, second = (self._forcing(at + offset, light, columns, sun) for offset in balance.stage_times(seconds))
             state, _ = balance.step(Library, state, columns.ground, first, second, dr.opaque(mi.Float, seconds))
             _evaluate(state)
@@ -459,11 +460,13 @@ class _Simulation:
             inner_w_m2=columns.inner_w_m2,
         )
 
-    def _light(self, at_s: float, seconds: float, seen_k: Jit, columns: _Columns, sun: "_SunShares") -> "_Light":
-        """The _Light between the faces from `at_s` on, for a step of `seconds` at least; each call adds one reflection
-        to the light of the call before."""
+    def _light(
+        self, at_s: float, seconds: float, every_s: float, seen_k: Jit, columns: _Columns, sun: "_SunShares"
+    ) -> "_Light":
+        """The _Light between the faces from `at_s` on, where a step of `seconds` begins, for an interval `every_s`;
+        each call adds one reflection to the light of the call before."""
         mi = self.mi
-        middle_s = at_s + 0.5 * max(_LIGHT_S, seconds)
+        middle_s = at_s + 0.5 * every_s
         middle = min(self._instant(middle_s), self.weather.time[-1])
         found, towards = self.weather.at(middle), self._sun(middle)
         level = float(found.direct_w_m2 * max(towards[2], 0.0) + found.diffuse_w_m2)
@@ -486,7 +489,7 @@ class _Simulation:
             leaves = (self.reflectance * (own + before[:, 0]), emitted + (1.0 - self.emissivity) * (sky + before[:, 1]))
             self.arrives = np.column_stack(list(self.threads.map(self._arriving, leaves)))
         upload = lambda values: mi.Float(aligned(values[: self.faces]))  # noqa: E731
-        until = max(_LIGHT_S * (np.floor(at_s / _LIGHT_S + 1e-9) + 1.0), at_s + seconds)
+        until = max(every_s * (np.floor(at_s / every_s + 1e-9) + 1.0), at_s + seconds)
         return _Light(until, upload(self.sky), upload(self.arrives[:, 0]), upload(self.arrives[:, 1]))
 
     def _arriving(self, leaves: NDArray[np.float32]) -> NDArray[np.float32]:
