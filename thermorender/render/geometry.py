@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.render import turbid
 from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned
+from thermorender.render.crown_shadows import CrownShadows
 from thermorender.render.pixels import pyramid, shapes, slender
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import Surface
@@ -68,6 +69,8 @@ class Geometry:
         copies = shapes.CopyShapes(mi, surfaces, self.face_start)
         # Crowns that rays pass in part; None without.
         self.crowns = turbid.field_of(mi, surfaces, self.face_start, self.texel_start, self.hair)
+        # Their shadows under the sun that was asked for last: its direction, and them.
+        self._shadows: tuple[bytes, CrownShadows] | None = None
         # Without robust intersections rays leak through triangle edges and show the sky.
         self.caster = mi.load_dict({
             "type": "scene", "embree_use_robust_intersections": True, **meshes, **copies.shapes
@@ -132,13 +135,22 @@ class Geometry:
             dr.select(flight.met, face, hit.face), dr.select(flight.met, surface, hit.surface),
         )  # fmt: skip
 
-    def sunlight(self, ray: Jit, active: Jit = True, coherent: bool = False) -> Jit:
-        """Return the share of light that arrives against rays from beyond the surfaces, Float; 0 where inactive."""
-        free = ~self.caster.ray_test(ray, coherent=coherent, active=active) & active
-        if self.crowns is None:
-            return dr.select(free, self.mi.Float(1.0), 0.0)
-        passed = self.crowns.transmittance(ray, dr.select(free, self.mi.Float(np.inf), 0.0), free, coherent)
-        return dr.select(free, passed, 0.0)
+    def sunlight(self, point: Jit, towards: Floats, active: Jit = True) -> Jit:
+        """Return the share of the sun's light that arrives at points, Float; 0 where inactive. `towards` (3,) points to
+        the sun."""
+        mi = self.mi
+        ray = mi.Ray3f(point, mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards)))
+        free = ~self.caster.ray_test(ray, coherent=True, active=active) & active
+        return dr.select(free, mi.Float(1.0) if self.crowns is None else self.crowns_passed(point, towards, free), 0.0)
+
+    def crowns_passed(self, point: Jit, towards: Floats, active: Jit = True) -> Jit:
+        """Return the share of the sun's light that reaches points through crowns, were all else away, Float."""
+        assert self.crowns is not None
+        key, shadows = np.asarray(towards, np.float64).tobytes(), self._shadows
+        if shadows is None or shadows[0] != key:
+            # Replaced as a whole: another thread may light the scene meanwhile.
+            shadows = self._shadows = key, CrownShadows(self.crowns, towards)
+        return shadows[1].passed(point, active)
 
     def hit_of(self, found: Jit) -> Hit:
         """Return the Hit of what the caster found."""

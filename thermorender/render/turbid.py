@@ -1,4 +1,4 @@
-"""Rays through crowns: transmittance by Beer's law, and random free flights.
+"""Rays through crowns: chords for Beer's law, and random free flights.
 
 Each crown has a convex hull of triangles, in a ray caster of their own beside that of the solid surfaces. A ray goes
 from hull to hull, and the chord in each crown is analytic. Where crowns overlap their densities add: transmittances are
@@ -17,8 +17,6 @@ from thermorender.render.pixels import shapes
 from thermorender.scene.crowns import PATCHES, PROJECTION, Crowns
 from thermorender.scene.surface import Surface
 
-# A ray that passes less than this share is stopped.
-_OPAQUE = 1e-3
 # Crowns that a ray remembers, so that leaving a hull does not count as entering it: more are rarely entered at once.
 _REMEMBERED = 4
 # Hulls that are looked at beyond the end of a ray: one in which it begins may not be left before.
@@ -108,7 +106,7 @@ class CrownField:
         texel_start: NDArray[np.integer], hair: float,
     ) -> None:  # fmt: skip
         own = [(k, each.instances) for k, each in enumerate(surfaces) if isinstance(each.instances, Crowns)]
-        self._mi, self.count = mi, sum(len(crowns) for _, crowns in own)
+        self.mi, self.count = mi, sum(len(crowns) for _, crowns in own)
         vertices, faces, owner, first = list[Floats](), list[NDArray[Any]](), list[NDArray[Any]](), 0
         for _, crowns in own:
             corner, triangles = _hull(crowns.box)
@@ -148,7 +146,7 @@ class CrownField:
 
     def frame(self, crown: Jit, active: Jit = True) -> UnitBody:
         """Return the UnitBody of crowns."""
-        mi = self._mi
+        mi = self.mi
         middle, half = (dr.gather(mi.Vector4f, table, crown, active) for table in (self._middle, self._half))
         turn = dr.gather(mi.Vector2f, self._turn, crown, active)
         place, scale = (mi.Vector3f(each.x, each.y, each.z) for each in (middle, half))
@@ -167,8 +165,8 @@ class CrownField:
         self, ray: Jit, until: Jit, active: Jit, state: State, visit: Visit, coherent: bool = False
     ) -> State:  # fmt: skip
         """Return `state` after `visit(chord, state)`, which returns (whether to go on, state), of each crown that rays
-        meet before `until` [m]. `coherent` rays are those of a view or towards the sun, side by side."""
-        mi = self._mi
+        meet before `until` [m]. `coherent` rays are those of a view, side by side."""
+        mi = self.mi
         origin, direction = mi.Point3f(ray.o), mi.Vector3f(ray.d)
         none = mi.UInt32(0xFFFFFFFF)
 
@@ -195,19 +193,9 @@ class CrownField:
         first = (begin, dr.zeros(mi.Float, width), dr.zeros(mi.UInt32, width), *([none] * _REMEMBERED), *state)
         return dr.while_loop(first, goes_on, step)[3 + _REMEMBERED :]
 
-    def transmittance(self, ray: Jit, until: Jit, active: Jit = True, coherent: bool = False) -> Jit:
-        """Return the share of light that passes the crowns along rays up to `until` [m], Float."""
-
-        def visit(chord: Chord, state: State) -> tuple[Jit, State]:
-            depth = state[0] + chord.depth
-            return depth < -np.log(_OPAQUE), (depth,)
-
-        (depth,) = self.walk(ray, until, active, (dr.zeros(self._mi.Float, dr.width(ray.d)),), visit, coherent)
-        return dr.exp(-depth)
-
     def flight(self, ray: Jit, until: Jit, depth: Jit, active: Jit = True, coherent: bool = False) -> FreeFlight:
         """Return the FreeFlight of rays to an optical depth, before `until` [m]."""
-        mi = self._mi
+        mi = self.mi
 
         def visit(chord: Chord, state: State) -> tuple[Jit, State]:
             left, met, distance, crown = state
@@ -228,7 +216,7 @@ class CrownField:
     def drawn(self, ray: Jit, until: Jit, active: Jit = True) -> tuple[FreeFlight, Jit]:
         """Return (random FreeFlight of rays, unit normal of the side of the leaf that they meet); both follow from the
         ray alone."""
-        mi = self._mi
+        mi = self.mi
         bits = [dr.reinterpret_array(mi.UInt32, each) for each in (*ray.o, *ray.d)]
         key = bits[0] * 0x9E3779B1 ^ bits[1] * 0x85EBCA77 ^ bits[2] * 0xC2B2AE3D
         other = bits[3] * 0x27D4EB2F ^ bits[4] * 0x165667B1 ^ bits[5] * 0xD3A2646C
@@ -242,7 +230,7 @@ class CrownField:
 
     def face(self, flight: FreeFlight, up: Jit) -> tuple[Jit, Jit]:
         """Return (surface, face) of the patches that a FreeFlight meets; `up`: the side of the leaf faces up."""
-        mi = self._mi
+        mi = self.mi
         surface, first = (
             dr.gather(mi.UInt32, table, flight.crown, flight.met) for table in (self.surface, self.first_face)
         )

@@ -122,7 +122,7 @@ class Copies:
             even = mi.Float(aligned(np.repeat(np.where(leaf[part], PROJECTION, 0.0), self._points)))
             # Of thin leaves of all orientations, by their mean projection; of triangles on the lit side.
             cosine = dr.select(even > 0.0, even, dr.maximum(dr.dot(normal, sun), 0.0))
-            lit = cosine * self._geometry.sunlight(mi.Ray3f(origin, sun), cosine > 0.0, coherent=True)
+            lit = cosine * self._geometry.sunlight(origin, towards, cosine > 0.0)
             found = np.array(lit).reshape(len(part), -1)
             mean[part], spread[part] = found.mean(axis=1), found.std(axis=1)
         mean[leaf] = mean[leaf][::2].repeat(2)

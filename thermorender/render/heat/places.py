@@ -38,10 +38,7 @@ def sun_share(
 ) -> Jit:  # fmt: skip
     """Return the share of the sun's rays that arrives at points above the surface, Float; 0 on the side away from the
     sun."""
-    mi, sun = geometry.mi, _sun(geometry, towards)
-    lit = active & (dr.dot(normal, sun) > 0.0)
-    ray = mi.Ray3f(point, dr.select(lit, sun, mi.Vector3f(0.0, 0.0, 1.0)))
-    return geometry.sunlight(ray, lit, coherent=True)
+    return geometry.sunlight(point, towards, active & (dr.dot(normal, _sun(geometry, towards)) > 0.0))
 
 
 def _sun(geometry: Geometry, towards: NDArray[np.float64]) -> Jit:

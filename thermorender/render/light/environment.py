@@ -111,6 +111,6 @@ def _sunlight(
         # Opaque: a literal would compile the kernel again for each part.
         origin, _, _, normal = rays_of(dr.arange(mi.UInt32, count) + dr.opaque(mi.UInt32, first), 0)
         cosine = dr.dot(normal, direction)
-        lit = dr.maximum(cosine, 0.0) * geometry.sunlight(mi.Ray3f(origin, direction), cosine > 0.0, coherent=True)
+        lit = dr.maximum(cosine, 0.0) * geometry.sunlight(origin, towards, cosine > 0.0)
         seen[first : first + count] = np.array(lit).reshape(count, -1).mean(axis=1)
     return seen[:, None] * light

@@ -77,7 +77,7 @@ class SunlitLeaves:
         field, mi = geometry.crowns, geometry.mi
         assert field is not None
         self._mi, self._geometry = mi, geometry
-        self._towards = mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))
+        self._sun, self._towards = towards, mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))
         self._others = mi.Float(aligned(self._lattice(field)))
         lit = self._means(field)
         table, first = [], 0
@@ -108,7 +108,7 @@ class SunlitLeaves:
         found = []
         for crown, point in self._points(field, unit):
             own = dr.exp(-self._own_depth(field.frame(crown), field.frame(crown).point(point)))
-            light = self._geometry.sunlight(self._mi.Ray3f(point, self._towards), coherent=True)
+            light = self._geometry.sunlight(point, self._sun)
             found.append(np.array(dr.minimum(light / dr.maximum(own, 1e-6), 1.0)))
         return np.concatenate(found)
 
