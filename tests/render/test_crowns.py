@@ -10,6 +10,7 @@ from scenes import WEATHER, coarse, scene_object, write_balance, write_terrain
 from thermorender.apps.lands.solids.plants import write_leaf_tables
 from thermorender.physics.sun import direction
 from thermorender.render.arrays import aligned, opaque_view, view_ray
+from thermorender.render.crown_shadows import CrownShadows
 from thermorender.render.geometry import Geometry
 from thermorender.render.heat.copies import Copies
 from thermorender.render.light import radiosity
@@ -96,6 +97,20 @@ def test_sunlight_passes_crowns_by_the_law_of_beer(tmp_path, elevation_deg):
     np.testing.assert_allclose(passed, expected, atol=0.02)
     assert np.sqrt(((passed - expected) ** 2).mean()) < 3e-4
     assert len(np.unique(passed)) > 1000
+
+
+def test_large_crowns_beside_small_ones_fill_few_tiles(tmp_path):
+    fields = "".join(f"{0.3 * k},0,0,400,400,0.6,0.1,{k}\n" for k in range(-20, 21))
+    bushes = "".join(f"{0.2 * k},{k % 7},0,0.2,0.2,0.2,2,0\n" for k in range(-30, 30))
+    scene, mi = tr.load_scene(write_crowns(tmp_path / "s", TREES + fields + bushes)), activate()
+    geometry, towards = Geometry(mi, scene.surfaces), direction(35.0, 20.0)
+    shadows = CrownShadows(geometry.crowns, towards)
+    assert len(shadows.listed) < 2.2e6
+    place = np.random.default_rng(1).uniform(-6.0, 6.0, (2000, 3)).astype(np.float32) * [1, 1, 0.1]
+    passed = np.array(shadows.passed(mi.Point3f(*map(aligned, place.T))))
+    expected = np.exp(-optical_depth(scene.surfaces, place.astype(np.float32).astype(float), place + 2000.0 * towards))
+    np.testing.assert_allclose(passed, expected, atol=0.02)
+    assert (expected < 0.5).any()
 
 
 VIEWS = [

@@ -11,8 +11,9 @@ import numpy as np
 from thermorender.render.arrays import Floats, Jit, aligned
 from thermorender.render.turbid import CrownField
 
-# Most tiles; their side is otherwise half of the median width of a crown.
-_MOST = 1 << 20
+# Most tiles, and most crowns in all of them: several for each crown, or that many. The side of a tile is otherwise half
+# of the median width of a crown, and grows by this factor.
+_MOST, _MOST_LISTED, _EACH, _GROWTH = 1 << 20, 1 << 21, 16, 1.25
 # Depth beyond which no more crowns are looked at: a share of 0.001.
 _DEEP = float(-np.log(1e-3))
 # Crowns are larger by this share of the largest coordinate, which exceeds the rounding of positions.
@@ -36,6 +37,8 @@ class CrownShadows:
         self._low = low.min(axis=0)
         extent = high.max(axis=0) - self._low
         self._side = max(float(np.median(half[:, :2])), float(np.sqrt(extent.prod() / _MOST)))
+        while (2.0 * half[:, :2] / self._side + 1.0).prod(axis=1).sum() > max(_MOST_LISTED, _EACH * field.count):
+            self._side *= _GROWTH
         self._count = np.ceil(extent / self._side).astype(np.int64)
         first, last = (np.floor((edge - self._low) / self._side).astype(np.int64) for edge in (low, high))
         last = np.minimum(last, self._count - 1)
@@ -48,9 +51,9 @@ class CrownShadows:
         end = (at + half)[:, 2]
         order = np.lexsort([-end[number], tile])
         start = np.searchsorted(tile[order], np.arange(self._count.prod() + 1))
-        # Two more: arrays of one entry would compile other kernels.
+        # The crowns of all tiles. Two more: arrays of one entry would compile other kernels.
         number = np.append(number[order], [0, 0])
-        self._start, self._crown = (mi.UInt32(aligned(each, np.uint32)) for each in (start, number))
+        self._start, self.listed = (mi.UInt32(aligned(each, np.uint32)) for each in (start, number))
         self._end = mi.Float(aligned(end[number]))
         self._axes = [mi.Vector3f(*self._opaque(axis)) for axis in axes]
         self._low_at, self._inverse = self._opaque(self._low), self._opaque([1.0 / self._side])[0]
@@ -79,7 +82,7 @@ class CrownShadows:
             return here & (dr.gather(mi.Float, self._end, index, here) > high)
 
         def step(index: Jit, depth: Jit) -> tuple[Jit, ...]:
-            crown = dr.gather(mi.UInt32, self._crown, index)
+            crown = dr.gather(mi.UInt32, self.listed, index)
             return index + 1, depth + field.chord(crown, ray, endless, mi.Bool(True)).depth
 
         _, depth = dr.while_loop((first, dr.zeros(mi.Float, dr.width(first))), goes_on, step)
