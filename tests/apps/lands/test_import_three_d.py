@@ -11,7 +11,7 @@ import thermorender as tr
 from scenes import write_raster
 from thermorender.apps.lands.import_settings import ImportSettings, ThreeD
 from thermorender.apps.lands.import_terrain import import_terrain
-from thermorender.apps.lands.solids import detection
+from thermorender.apps.lands.solids import city_model, detection
 from thermorender.apps.lands.solids.borders import OPEN, borders
 from thermorender.apps.lands.solids.outlines import outlines_in
 from thermorender.apps.lands.solids.roof_steps import cut_at_steps
@@ -20,6 +20,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.formats import write_text
 from thermorender.render.plan import make_plan
 from thermorender.render.quality import Sampling
+from thermorender.scene.ground import Ground
 from thermorender.scene.patch import read_features
 from thermorender.scene.surface import FILLED
 from thermorender.scene.terrain import read_elevation
@@ -88,6 +89,32 @@ def test_a_house_has_walls_to_its_eaves_and_a_tree_a_crown(model, tmp_path, give
     reach = np.hypot(*(crown.middle[:, :2] - [12.0, -9.0]).T) + crown.half[:, :2].max(axis=1)
     low, high = (crown.middle[:, 2] + sign * crown.half[:, 2] + origin for sign in (-1.0, 1.0))
     assert 2.8 < reach.max() < 4.5 and low.min() > 22.0 and 29.0 < high.max() < 31.5
+
+
+@pytest.mark.parametrize(("rough_m", "share"), [(0.0, 1 / 16), (0.02, 1 / 16), (0.2, 1.0)])
+def test_a_smooth_ground_of_many_posts_is_coarser_and_as_high(model, tmp_path, monkeypatch, rough_m, share):
+    bent = GROUND + 0.0006 * (ROW - 20.0) ** 2 + rough_m * np.random.default_rng(1).standard_normal(GROUND.shape)
+    write_raster(tmp_path / "dem.tif", bent[None].astype(np.float32), corner=CORNER)
+    found = []
+    for number, many in enumerate((1 << 19, 1000)):
+        monkeypatch.setattr(city_model, "_MANY_POSTS", many)
+        folder = tmp_path / str(number)
+        made = import_terrain(model / "dsm.tif", None, folder, ImportSettings(), ThreeD(tmp_path / "dem.tif"))
+        found.append(surfaces(tr.load_scene(folder))["ground"])
+        told = [note for note in made["known"] if "the ground has posts 3.9 m apart" in note]
+        assert bool(told) == (number == 1 and share < 1.0), made
+    fine, coarse = found
+    assert len(coarse.faces) == pytest.approx(share * len(fine.faces), rel=0.1)
+    at = np.random.default_rng(0).uniform(-20.0, 20.0, (500, 2))
+    off = Ground([fine])(*at.T) - Ground([coarse])(*at.T)
+    assert np.sqrt(np.mean(off**2)) < 0.03
+    # The same places have the same texels.
+    for each in found:
+        plane = np.column_stack([each.vertices[each.faces].reshape(-1, 3)[:, :2], np.ones(3 * len(each.faces))])
+        fit = np.linalg.lstsq(plane, each.uv.reshape(-1, 2), rcond=None)[0]
+        assert np.abs(plane @ fit - each.uv.reshape(-1, 2)).max() < 2e-3
+    np.testing.assert_allclose(fine.vertices.min(axis=0)[:2], coarse.vertices.min(axis=0)[:2], atol=1e-3)
+    np.testing.assert_allclose(fine.vertices.max(axis=0)[:2], coarse.vertices.max(axis=0)[:2], atol=1e-3)
 
 
 def test_what_nobody_has_seen_is_flagged_and_listed(model, tmp_path):

@@ -5,7 +5,7 @@ Walls, trunks and the places of leaves are inferred: no survey from above sees t
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,9 @@ BARK = "bark"
 # Material of roofs where no orthophoto says more.
 ROOF = "roof_tile_clay"
 _TEXEL_M, _BELOW_M = 0.3, 0.5
+# Posts of a ground from which on it is coarser where its heights change by no more than these, in the root mean square
+# and at most [m]; walls begin deeper.
+_MANY_POSTS, _SMOOTH_M, _SMOOTH_MOST_M = 1 << 19, 0.03, 0.25
 # Largest distance of posts in which roofs differ from crowns [m].
 _FINE_M = 1.2
 # Lower steps between roofs of adjoining buildings have no wall [m].
@@ -137,7 +140,13 @@ def city_model(
             "usual kind"
         )
     covered = np.isfinite(height) & (height - bare > detection.LEAST_M)
-    meshes = [_ground(bare, grid, frame, texels, picture, covered, ground_colour)]
+    smooth, apart = _coarser(bare, grid)
+    if apart is not grid:
+        notes.append(
+            f"the ground has posts {post_m * (grid.width - 1) / (apart.width - 1):.2g} m apart, as its heights between differ by "
+            f"{_SMOOTH_M:g} m or less (RMS)"
+        )
+    meshes = [_ground(smooth, grid, apart, frame, texels, picture, covered, ground_colour)]
     high = [each for each in outlines if _stands(each, height, bare, post_m)]
     flat = len(outlines) - len(high)
     high, level = cut_at_steps(high, height, bare, post_m)
@@ -228,15 +237,38 @@ def _colours(
     return at
 
 
+def _coarser(bare: NDArray[np.float64], grid: Grid) -> tuple[NDArray[np.float64], Grid]:
+    """(Heights of a ground of many posts, their Grid), with posts two to four times as far apart where heights are
+    nearly linear between; outermost posts stay."""
+    from scipy.interpolate import RectBivariateSpline
+
+    if bare.size <= _MANY_POSTS or not np.isfinite(bare).all():
+        return bare, grid
+    every = [np.arange(count, dtype=np.float64) for count in bare.shape]
+    heights = RectBivariateSpline(*every, bare, kx=1, ky=1)
+    for step in (4, 3, 2):
+        some = [np.linspace(0.0, each[-1], int(np.ceil(each[-1] / step)) + 1) for each in every]
+        coarse = heights(*some)
+        off = RectBivariateSpline(*some, coarse, kx=1, ky=1)(*every) - bare
+        if np.sqrt(np.mean(off**2)) <= _SMOOTH_M and np.abs(off).max() <= _SMOOTH_MOST_M:
+            # The middle of the first pixel stays.
+            t, down, across = grid.transform, some[0][1], some[1][1]
+            x, y = grid.to_map(0.5 - 0.5 * across, 0.5 - 0.5 * down)
+            to_map = type(t)(t.a * across, t.b * down, x, t.d * across, t.e * down, y)
+            return coarse, replace(grid, transform=to_map, height=coarse.shape[0], width=coarse.shape[1])
+    return bare, grid
+
+
 def _ground(
-    bare: NDArray[np.float64], grid: Grid, frame: LocalFrame, texels: Grid,
+    bare: NDArray[np.float64], grid: Grid, apart: Grid, frame: LocalFrame, texels: Grid,
     picture: tuple[NDArray[np.uint8], NDArray[np.bool_], Grid] | None, covered: NDArray[np.bool_],
     plain: Sequence[int],
 ) -> TexturedMesh:  # fmt: skip
-    """The terrain below all objects; what they hide has the colour of the nearest open ground."""
+    """The terrain below all objects, with posts of the grid `apart`; what they hide, on `grid`, has the colour of the
+    nearest open ground."""
     from thermorender.scene.raster import onto
 
-    vertices, faces, uv = terrain.mesh(bare, grid, frame, texels)
+    vertices, faces, uv = terrain.mesh(bare, apart, frame, texels)
     # Posts beyond the last texel would repeat the texture.
     uv, shape = np.clip(uv, 0.0, 1.0), (texels.height, texels.width)
     colour = np.broadcast_to(np.array(plain, np.uint8), (*shape, 3))
