@@ -143,8 +143,8 @@ def city_model(
     smooth, apart = _coarser(bare, grid)
     if apart is not grid:
         notes.append(
-            f"the ground has posts {post_m * (grid.width - 1) / (apart.width - 1):.2g} m apart, as its heights between differ by "
-            f"{_SMOOTH_M:g} m or less (RMS)"
+            f"the ground has posts {post_m * (grid.width - 1) / (apart.width - 1):.2g} m apart, as heights between "
+            f"differ by {_SMOOTH_M:g} m or less (RMS)"
         )
     meshes = [_ground(smooth, grid, apart, frame, texels, picture, covered, ground_colour)]
     high = [each for each in outlines if _stands(each, height, bare, post_m)]
