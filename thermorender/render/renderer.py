@@ -255,6 +255,9 @@ class Renderer:
         air: they get few rays, whether they show an edge or not, and the others are 0.
         """
         view = self._view(pose, time_s, objects, camera, lit_s, lit_objects)
+        sides = view.rays.height, view.rays.width
+        if only is not None and np.shape(only) != sides:
+            raise ThermorenderError(f"only has the shape {np.shape(only)}; give that of the camera's image, {sides}")
         return view.radiance(through_air)[0] if only is None else view.some(only)
 
     def parts_at(

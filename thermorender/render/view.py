@@ -57,7 +57,8 @@ class View:
     def some(self, only: NDArray[np.bool_]) -> NDArray[np.float32]:
         """Return the band radiance, through air, of some pixels (H, W), from few rays each; 0 elsewhere."""
         image, pixels = np.zeros(only.shape, np.float32), np.flatnonzero(only)
-        image.flat[pixels] = self.tracer().few(pixels)[0]
+        if pixels.size:
+            image.flat[pixels] = self.tracer().few(pixels)[0]
         return image
 
     def truth(self, sampling: SampledImage | None) -> dict[str, NDArray[Any]]:

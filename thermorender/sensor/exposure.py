@@ -72,6 +72,10 @@ _GHOST_AGE = 4.0
 # Age [time constants] up to which a frame's own image is continued beyond its borders: e⁻³ of 1 K in 1 % of the pixels
 # is 5 mK.
 _RIM_AGE = 3.0
+# Pixels for each one in which that error is measured, and steps of their place (Roberts 2018).
+_EVERY, _SPREAD = 64, np.array([0.7548776662466927, 0.5698402909980532])
+# Factor of the error measured at one age on that over all: older instants uncover more than in proportion.
+_OLDER = 1.2
 
 # (column, row) (H, W) in one instant's image of the pixels of another, both by number in a Schedule.
 _Ways = Callable[[int, int], tuple[Image, Image]]
@@ -153,22 +157,28 @@ class Exposure:
             instants, renders = len(_AGES), 1
         else:
             plan = self._schedule(time_s, motion, contrast, self._since(time_s, before), self._render_px)
-            own, wide, ways = WideImage(self.sensor.blurred(radiance)), False, self._ways(plan, relief)
+            own, measured, ways = WideImage(self.sensor.blurred(radiance)), None, self._ways(plan, relief)
             if interpolates:
                 seen = self._seen(plan, ways, own, motion)
                 if len(seen.renders) > len(plan.renders):
-                    own, wide = self._widened(plan, ways, own, radiance)
-                    seen = self._seen(plan, ways, own, motion) if wide else seen
+                    own, measured = self._widened(plan, ways, own, radiance)
+                    seen = seen if measured is None else self._seen(plan, ways, own, motion)
                 plan = seen
             signal, error = self._fast(plan, ways, own, moment)
             image = own.of(self.sensor.camera)
-            instants, renders, moved_s = len(plan.times_s), len(plan.renders) + wide, self._moved_s(plan)
+            instants, renders, moved_s = (
+                len(plan.times_s),
+                len(plan.renders) + 2 * (measured is not None),
+                self._moved_s(plan),
+            )
             regions = self._changing_regions(time_s, before, moved_s)
             if len(plan.renders) < len(plan.times_s):
                 way = self._way(relief, time_s, min(self._span_s(), _SHORT_S))
                 gaps, weights = plan.moved_middles(self.sensor.camera.time_constant_s)
                 rest = outside(regions, image.shape)
-                error = np.hypot(error, moved_mk(image, self.sensor.camera, way, motion, gaps, weights, rest))
+                apart = moved_mk(image, self.sensor.camera, way, motion, gaps, weights, rest)
+                # A moved image shows neither what a step of depth uncovers nor detail that it has not.
+                error = np.hypot(error, max(apart, _OLDER * (measured or 0.0) * float(gaps @ weights)))
             carried = error**2
         remembered = self._remembered_mk(time_s, before) ** 2
         square = error**2 + remembered
@@ -258,9 +268,12 @@ class Exposure:
 
     def _widened(
         self, plan: Schedule, ways: _Ways, own: WideImage, radiance: Image
-    ) -> tuple[WideImage, bool]:  # fmt: skip
-        """(The frame's own image, blurred, with what other instants see beyond its borders; True), or `own` and False
-        where other instants see more than an image may be continued."""
+    ) -> tuple[WideImage, float | None]:  # fmt: skip
+        """(The frame's own image, blurred, with what other instants see beyond its borders; its error when moved by a
+        time constant [mK]), or `own` and None where other instants see more than an image may be continued.
+
+        The error is measured in some pixels of an instant about a time constant earlier, rendered with few rays, less
+        the noise of those."""
         (height, width), most = radiance.shape, widest_px(self.sensor.camera)
         reach = np.zeros(4)
         # The oldest of these instants is no older than that age.
@@ -269,10 +282,10 @@ class Exposure:
             beyond = -column.min(), -row.min(), column.max() - (width - 1), row.max() - (height - 1)
             reach = np.maximum(reach, beyond)
         if reach.max() > most:
-            return own, False
+            return own, None
         left, top, right, bottom = np.ceil(np.maximum(reach, 0.0)).astype(int).tolist()
         if left == top == right == bottom == 0:
-            return own, False
+            return own, None
         # One camera, whose rays serve all frames, though few need all of its rim.
         camera = self.sensor.camera.part(slice(-most, height + most), slice(-most, width + most))
         inside = slice(most, most + height), slice(most, most + width)
@@ -280,10 +293,25 @@ class Exposure:
         rim = np.zeros((camera.height, camera.width), bool)
         rim[around] = True
         rim[inside] = False
-        time_s = plan.times_s[plan.own]
-        image = self._radiance_at(time_s, camera, time_s, rim)
+        # Not in rows and columns, which may miss upright and level edges.
+        spread = np.arange(-(-radiance.size // _EVERY)) * _SPREAD[:, None] % 1.0
+        here, past = tuple((spread * [[height], [width]]).astype(int)[:, None]), self._number(plan, 1.0)
+        some = np.zeros(radiance.shape, bool)
+        some[here] = True
+        time_s, past_s = plan.times_s[plan.own], plan.times_s[past]
+        image = self._radiance_at(time_s, camera, time_s, rim | np.pad(some, most))
+        noise = (image[inside] - radiance)[here]
         image[inside] = radiance
-        return WideImage(self.sensor.blurred(image[around]), left, top), True
+        wide = WideImage(image[around], left, top)
+        column, row = (position[here] for position in ways(plan.own, past))
+        off = self._radiance_at(past_s, self.sensor.camera, time_s, some)[here] - wide.moved(column, row)
+        # What moving objects change is followed apart.
+        changing = self._changing_regions(time_s, self.pixels, self._moved_s(plan))
+        still = outside(changing, radiance.shape)[here]
+        square = max(float(np.mean(off**2 - noise**2, where=still)), 0.0) if still.any() else 0.0
+        gap = (time_s - past_s) / self.sensor.camera.time_constant_s
+        measured = np.sqrt(square) / (per_mk(self.sensor.camera) * max(gap, 0.1))
+        return WideImage(self.sensor.blurred(wide.image), left, top), float(measured)
 
     def _seen(self, plan: Schedule, ways: _Ways, own: WideImage, motion: float) -> Schedule:
         """The Schedule with more renders where the images before and after do not see enough of an instant: the last

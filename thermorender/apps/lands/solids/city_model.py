@@ -242,7 +242,7 @@ def _coarser(bare: NDArray[np.float64], grid: Grid) -> tuple[NDArray[np.float64]
     nearly linear between; outermost posts stay."""
     from scipy.interpolate import RectBivariateSpline
 
-    if bare.size <= _MANY_POSTS or not np.isfinite(bare).all():
+    if bare.size <= _MANY_POSTS or min(bare.shape) < 3 or not np.isfinite(bare).all():
         return bare, grid
     every = [np.arange(count, dtype=np.float64) for count in bare.shape]
     heights = RectBivariateSpline(*every, bare, kx=1, ky=1)
