@@ -256,7 +256,7 @@ def flight_logs():
 
 
 def campaign():
-    """Two pairs of the page's data set from above: a winter night, and another hour."""
+    """The first and the last pair from above of the page's data set."""
     pairs = run("guides/campaign.md", 2)["pairs"]
     shown = []
     above = [entry for entry in pairs.entries if entry.labels["view"] == "nadir"]

@@ -397,6 +397,19 @@ def test_a_part_of_an_image_equals_the_whole_there(tmp_path):
             np.testing.assert_allclose(part, whole[rows, columns], rtol=2e-6)
 
 
+def test_some_pixels_are_those_of_the_whole_and_others_stay_0(tmp_path):
+    scene = tr.load_scene(write_terrain(tmp_path / "s"))
+    renderer = tr.Renderer(scene.with_camera(replace(scene.camera, width=33, height=17)), rays=32)
+    view, only = tr.pose(0.0, -6.0, 12.0, pitch_deg=-60.0), np.zeros((17, 33), bool)
+    assert not renderer.radiance(view, only=only).any()
+    only[3:9, 5:30:2] = True
+    found, whole = renderer.radiance(view, only=only.tolist()), renderer.radiance(view)
+    np.testing.assert_allclose(found[only], whole[only], rtol=2e-3)
+    assert not found[~only].any()
+    with pytest.raises(ThermorenderError, match=r"only has the shape \(5, 5\).*\(17, 33\)"):
+        renderer.radiance(view, only=np.ones((5, 5), bool))
+
+
 def test_a_ring_of_pixels_determines_all_edges_inside():
     radiance = np.random.default_rng(1).uniform(50.0, 60.0, (20, 24)).astype(np.float32)
     row, column = np.mgrid[:20, :24]

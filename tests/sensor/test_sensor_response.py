@@ -11,6 +11,7 @@ from scenes import plane_depth
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.sensor import detector, motion
+from thermorender.sensor import exposure as exposure_module
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.chain import Sensor, at_rest
 from thermorender.sensor.exposure import Exposure
@@ -377,14 +378,16 @@ def test_the_error_of_what_a_step_of_depth_uncovers_is_stated():
     assert error < 1.1 * how["lag_mk"] < 3.0 * error, (error, how)
 
 
-@pytest.mark.parametrize("heading", [0.0, *slow(180.0), 90.0])
-def test_a_rim_around_the_image_stands_for_whole_images_of_the_past(heading):
+# The last measures the error in every pixel, which are more than OpenCV takes in a row.
+@pytest.mark.parametrize(("heading", "every"), [(0.0, 64), *slow((180.0, 64)), (90.0, 64), (0.0, 1)])
+def test_a_rim_around_the_image_stands_for_whole_images_of_the_past(monkeypatch, heading, every):
     """Warm ground lies just outside of the frame's own view, which remembers it."""
     size = {"width": 320, "height": 256, "pixel_pitch_um": 34.0, "row_time_us": 0.0}
     camera = replace(CAMERA, diffraction=False, blur_sigma_px=0.0, **size)
     path = lambda t: pose(0.0, 27.0 * t, 100.0, heading, -90.0)  # noqa: E731
     half_m = 100.0 * 0.5 * (camera.width if heading == 90.0 else camera.height) / camera.focal_length_px
-    asked = []
+    asked, draw = [], np.random.default_rng(0)
+    monkeypatch.setattr(exposure_module, "_EVERY", every)
 
     def radiance_at(time_s, seen_by=camera, lit_s=None, rim=None):
         asked.append(rim)
@@ -393,13 +396,16 @@ def test_a_rim_around_the_image_stands_for_whole_images_of_the_past(heading):
         # The camera looks down.
         east, north = path(time_s)[:2, 3, None, None] + 100.0 * np.moveaxis(slope @ path(time_s)[:2, :2].T, -1, 0)
         warm = 8.0 * np.clip((-north - half_m) / 4.0, 0.0, 1.0) + 2.0 * np.sin(north / 3.0 + east / 4.0)
-        return np.where(True if rim is None else rim, K295 + SLOPE * warm, 0.0).astype(np.float32)
+        # Few rays have noise, which is no error of motion.
+        noise = 0.0 if rim is None else 0.1 * draw.standard_normal(warm.shape)
+        return np.where(True if rim is None else rim, K295 + SLOPE * (warm + noise), 0.0).astype(np.float32)
 
     taken = Exposure(Sensor(camera, 0), radiance_at, path, plane_depth(), 1.0 / 30.0)
     signal, how = taken.signal(at_rest(camera), 0.0, radiance_at(0.0))
-    assert how["motion_px"] > 1.0 and how["renders"] == 3
+    assert how["motion_px"] > 1.0 and how["renders"] == 3 and how["lag_mk"] < 40.0
     # Beside the frame's own image only a rim of it is rendered, and few pixels of it and of an instant before.
-    assert asked[0] is None and len(asked) == 3 and 0.0 < asked[1].mean() < 0.12 and 0.0 < asked[2].mean() < 0.02
+    assert asked[0] is None and len(asked) == 3
+    assert every == 1 or (0.0 < asked[1].mean() < 0.12 and 0.0 < asked[2].mean() < 0.02)
     error = 1e3 / SLOPE * (radiance_of(signal, taken) - followed(taken, radiance_at))
     assert np.sqrt(np.mean(error**2)) < min(how["lag_mk"], 25.0), how
 

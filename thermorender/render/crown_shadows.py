@@ -14,8 +14,8 @@ from thermorender.render.turbid import CrownField
 # Most tiles, and most crowns in all of them: several for each crown, or that many. The side of a tile is otherwise half
 # of the median width of a crown, and grows by this factor.
 _MOST, _MOST_LISTED, _EACH, _GROWTH = 1 << 20, 1 << 21, 16, 1.25
-# Depth beyond which no more crowns are looked at: a share of 0.001.
-_DEEP = float(-np.log(1e-3))
+# Depth beyond which no more crowns are looked at. It is large, as the transmittance of a crown may be divided out.
+_DEEP = 30.0
 # Crowns are larger by this share of the largest coordinate, which exceeds the rounding of positions.
 _ROUNDING = 1e-6
 

@@ -251,14 +251,16 @@ class Renderer:
         Without `through_air` it is the radiance that leaves the surfaces towards the camera; they are still lit through
         the air. `camera` replaces the scene's, for example by a part of its image; band and air stay the scene's. With
         `lit_s` moving objects receive and give the light of that time [s], which saves tracing it for instants close to
-        it; `lit_objects` is `objects` at that time, by default the same. `only` (H, W) asks for some pixels, through
-        air: they get few rays, whether they show an edge or not, and the others are 0.
+        it; `lit_objects` is `objects` at that time, by default the same. `only` (H, W) asks for some pixels: they
+        get few rays, whether they show an edge or not, and the others are 0.
         """
         view = self._view(pose, time_s, objects, camera, lit_s, lit_objects)
         sides = view.rays.height, view.rays.width
-        if only is not None and np.shape(only) != sides:
+        if only is None:
+            return view.radiance(through_air)[0]
+        if np.shape(only) != sides:
             raise ThermorenderError(f"only has the shape {np.shape(only)}; give that of the camera's image, {sides}")
-        return view.radiance(through_air)[0] if only is None else view.some(only)
+        return view.some(np.asarray(only, bool), through_air)
 
     def parts_at(
         self, pose: ArrayLike, pixels: ArrayLike, time_s: float = 0.0, objects: Objects | None = None,

@@ -54,11 +54,11 @@ class View:
         one, two = self.baked, other.baked
         return same and one.geometry is two.geometry and one.plan.sampling.samples == two.plan.sampling.samples
 
-    def some(self, only: NDArray[np.bool_]) -> NDArray[np.float32]:
-        """Return the band radiance, through air, of some pixels (H, W), from few rays each; 0 elsewhere."""
+    def some(self, only: NDArray[np.bool_], through_air: bool = True) -> NDArray[np.float32]:
+        """Return the band radiance of some pixels (H, W), from few rays each; 0 elsewhere."""
         image, pixels = np.zeros(only.shape, np.float32), np.flatnonzero(only)
         if pixels.size:
-            image.flat[pixels] = self.tracer().few(pixels)[0]
+            image.flat[pixels] = self.tracer(through_air).few(pixels)[0]
         return image
 
     def truth(self, sampling: SampledImage | None) -> dict[str, NDArray[Any]]:

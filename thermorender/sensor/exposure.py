@@ -72,7 +72,8 @@ _GHOST_AGE = 4.0
 # Age [time constants] up to which a frame's own image is continued beyond its borders: e⁻³ of 1 K in 1 % of the pixels
 # is 5 mK.
 _RIM_AGE = 3.0
-# Pixels for each one in which that error is measured, and steps of their place (Roberts 2018).
+# Pixels for each one in which the error of moving the frame's own image is measured, and steps of their place (Roberts
+# 2018).
 _EVERY, _SPREAD = 64, np.array([0.7548776662466927, 0.5698402909980532])
 # Factor of the error measured at one age on that over all: older instants uncover more than in proportion.
 _OLDER = 1.2
@@ -85,8 +86,8 @@ class Exposure:
     """The state of a flight's sensor from one frame to the next, `interval_s` [s] apart.
 
     `radiance_at` (time [s], Camera, time [s] of the light on and from moving objects) returns band radiance, (H, W)
-    float32 [W m⁻² sr⁻¹], of the sensor's camera, of a part of it or of a wider view; of that, only the pixels of a rim
-    (H, W) bool, its fourth argument, are used. `pose_at` (time) returns world_from_camera. `depth_at`
+    float32 [W m⁻² sr⁻¹], of the sensor's camera, of a part of it or of a wider view; with a fourth argument, (H, W)
+    bool, only those pixels are used. `pose_at` (time) returns world_from_camera. `depth_at`
     (pose, Camera) is the depth of the static scene along the axis, (h, w) [m], infinite where nothing is hit.
     `render_px` is the motion between two renders; 0 renders every instant. `lag_mk` is the estimated error allowed to
     the spacing of instants.
@@ -294,8 +295,10 @@ class Exposure:
         rim[around] = True
         rim[inside] = False
         # Not in rows and columns, which may miss upright and level edges.
-        spread = np.arange(-(-radiance.size // _EVERY)) * _SPREAD[:, None] % 1.0
-        here, past = tuple((spread * [[height], [width]]).astype(int)[:, None]), self._number(plan, 1.0)
+        # Square, since OpenCV moves no image of more than 32 767 columns.
+        side = int(np.ceil(np.sqrt(radiance.size / _EVERY)))
+        spread = np.arange(side**2).reshape(side, side) * _SPREAD[:, None, None] % 1.0
+        here, past = tuple((spread.T * [height, width]).T.astype(int)), self._number(plan, 1.0)
         some = np.zeros(radiance.shape, bool)
         some[here] = True
         time_s, past_s = plan.times_s[plan.own], plan.times_s[past]
@@ -309,7 +312,7 @@ class Exposure:
         changing = self._changing_regions(time_s, self.pixels, self._moved_s(plan))
         still = outside(changing, radiance.shape)[here]
         square = max(float(np.mean(off**2 - noise**2, where=still)), 0.0) if still.any() else 0.0
-        gap = (time_s - past_s) / self.sensor.camera.time_constant_s
+        gap = (time_s - past_s) / self._span_s()
         measured = np.sqrt(square) / (per_mk(self.sensor.camera) * max(gap, 0.1))
         return WideImage(self.sensor.blurred(wide.image), left, top), float(measured)
 
@@ -324,7 +327,7 @@ class Exposure:
             unseen: Any = np.exp(-(age or 0.0))
             for at in {renders[max(after - 1, 0)], renders[min(after, len(renders) - 1)], plan.own}:
                 column, row = (position[here] for position in ways(at, number))
-                # The rim of the frame's own image estimates the uncertainty beyond the rim of another.
+                # The border of the frame's own image estimates the uncertainty beyond the border of another.
                 unseen = unseen * (
                     own.uncertainty(column, row) if at == plan.own else inside.uncertainty(column, row) > 0.0
                 )

@@ -4,7 +4,7 @@ surroundings.
 Every texel is a column: its material on the layers beneath, at its position on the mesh. At the end of every step a
 shadow ray from each texel tests for the sun, whose share is linear in time between. Reflected sunlight and the
 long-wave radiation of the surroundings use the rays of the scene's light. They are one value per face, solved between
-columns at the faces' middles, every hour and in the last four hours every half hour.
+columns at the faces' middles, every hour while texels share columns, and every half hour from then on.
 
 A simulation begins two days before the first instant requested, from settled columns in the open: one day leaves 0.1 K
 (RMS) in a village, 0.4 K in its water. Texels are simulated in blocks, each together with all faces, which bounds

@@ -34,7 +34,7 @@ BARK = "bark"
 # Material of roofs where no orthophoto says more.
 ROOF = "roof_tile_clay"
 _TEXEL_M, _BELOW_M = 0.3, 0.5
-# Posts of a ground from which on it is coarser where its heights change by no more than these, in the root mean square
+# A ground of more posts than this gets fewer where its heights change by no more than these, in the root mean square
 # and at most [m]; walls begin deeper.
 _MANY_POSTS, _SMOOTH_M, _SMOOTH_MOST_M = 1 << 19, 0.03, 0.25
 # Largest distance of posts in which roofs differ from crowns [m].
@@ -143,8 +143,8 @@ def city_model(
     smooth, apart = _coarser(bare, grid)
     if apart is not grid:
         notes.append(
-            f"the ground has posts {post_m * (grid.width - 1) / (apart.width - 1):.2g} m apart, as heights between "
-            f"differ by {_SMOOTH_M:g} m or less (RMS)"
+            f"the ground has posts {post_m * (grid.width - 1) / (apart.width - 1):.2g} m apart, as heights "
+            f"between them change by {_SMOOTH_M:g} m or less (RMS)"
         )
     meshes = [_ground(smooth, grid, apart, frame, texels, picture, covered, ground_colour)]
     high = [each for each in outlines if _stands(each, height, bare, post_m)]
