@@ -99,10 +99,23 @@ def test_sunlight_passes_crowns_by_the_law_of_beer(tmp_path, elevation_deg):
     far = place + 500.0 * towards
     expected = np.exp(-optical_depth(scene.surfaces, place.astype(float), far))
     assert 0.1 < (expected < 0.999).mean() < 0.95
-    # Depths beyond 1 in 1000 are not followed; rays that graze a body err by the root of the rounding.
+    # Rays that graze a body err by the root of the rounding.
     np.testing.assert_allclose(passed, expected, atol=0.02)
     assert np.sqrt(((passed - expected) ** 2).mean()) < 3e-4
     assert len(np.unique(passed)) > 1000
+
+
+def test_sunlight_deep_in_dense_crowns_keeps_its_share(tmp_path):
+    """A crown's own transmittance is divided out, which needs all others in full: depths of 7 to 25."""
+    trees = TREES.splitlines()[0] + "\n" + "".join(f"{0.2 * k},0,0,4,4,4,2.5,0\n" for k in range(6))
+    scene, mi = tr.load_scene(write_crowns(tmp_path / "s", trees)), activate()
+    place = np.random.default_rng(1).uniform([-3.0, -1.0, 0.5], [-1.0, 1.0, 1.0], (2000, 3)).astype(np.float32)
+    towards = direction(5.0, 90.0)
+    passed = np.array(Geometry(mi, scene.surfaces).crowns_passed(mi.Point3f(*map(aligned, place.T)), towards))
+    depth = optical_depth(scene.surfaces, place.astype(float), place + 500.0 * towards)
+    deep = (depth > 7.0) & (depth < 25.0)
+    assert deep.sum() > 300
+    np.testing.assert_allclose(-np.log(passed[deep]), depth[deep], atol=0.02)
 
 
 def test_large_crowns_beside_small_ones_fill_few_tiles(tmp_path):

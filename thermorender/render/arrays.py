@@ -1,5 +1,6 @@
 """Arrays on the render side: their upload, packets of channels that one gather reads, and rays of a view."""
 
+from collections.abc import Iterable
 from typing import Any
 
 import drjit as dr
@@ -29,6 +30,11 @@ def aligned(values: ArrayLike, kind: Any = np.float32) -> NDArray[Any]:
     copy = whole[first : first + source.size]
     copy.reshape(source.shape)[...] = source
     return copy
+
+
+def opaque_vector(mi: Mitsuba, values: Iterable[float]) -> Jit:
+    """Return a Vector3f of opaque Dr.Jit values, so that another one reuses the kernel."""
+    return mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in values))
 
 
 def opaque_view(mi: Mitsuba, pose: NDArray[Any]) -> tuple[list[Jit], Jit]:

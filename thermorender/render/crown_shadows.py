@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import drjit as dr
 import numpy as np
 
-from thermorender.render.arrays import Floats, Jit, aligned
+from thermorender.render.arrays import Floats, Jit, aligned, opaque_vector
 from thermorender.render.turbid import CrownField
 
 # Most tiles, and most crowns in all of them: several for each crown, or that many. The side of a tile is otherwise half
@@ -29,36 +29,35 @@ class CrownShadows:
         across = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
         across /= np.linalg.norm(across)
         axes = np.stack([across, np.cross(along, across), along])
-        self._origin = field.middle.mean(axis=0)
-        at = (field.middle - self._origin) @ axes.T
+        origin = field.middle.mean(axis=0)
+        at = (field.middle - origin) @ axes.T
         # Half the sides of the boxes round the ellipsoids, whose rows of `reach` are half axes.
         half = np.sqrt(np.square(field.reach @ axes.T).sum(axis=1)) + _ROUNDING * (1.0 + np.abs(field.middle).max())
         low, high = (at - half)[:, :2], (at + half)[:, :2]
-        self._low = low.min(axis=0)
-        extent = high.max(axis=0) - self._low
-        self._side = max(float(np.median(half[:, :2])), float(np.sqrt(extent.prod() / _MOST)))
-        while (2.0 * half[:, :2] / self._side + 1.0).prod(axis=1).sum() > max(_MOST_LISTED, _EACH * field.count):
-            self._side *= _GROWTH
-        self._count = np.ceil(extent / self._side).astype(np.int64)
-        first, last = (np.floor((edge - self._low) / self._side).astype(np.int64) for edge in (low, high))
-        last = np.minimum(last, self._count - 1)
+        corner = low.min(axis=0)
+        extent = high.max(axis=0) - corner
+        side = max(float(np.median(half[:, :2])), float(np.sqrt(extent.prod() / _MOST)))
+        while (2.0 * half[:, :2] / side + 1.0).prod(axis=1).sum() > max(_MOST_LISTED, _EACH * field.count):
+            side *= _GROWTH
+        count = np.ceil(extent / side).astype(np.int64)
+        first, last = (np.floor((edge - corner) / side).astype(np.int64) for edge in (low, high))
+        last = np.minimum(last, count - 1)
         wide, tall = (last - first + 1).T
         number = np.repeat(np.arange(len(wide)), wide * tall)
         step = np.arange(len(number)) - np.repeat(np.cumsum(wide * tall) - wide * tall, wide * tall)
         down, right = np.divmod(step, wide[number])
-        tile = (first[number, 1] + down) * self._count[0] + first[number, 0] + right
+        tile = (first[number, 1] + down) * count[0] + first[number, 0] + right
         # In each tile the crown that ends nearest to the sun comes first, so that those behind a point end its list.
         end = (at + half)[:, 2]
         order = np.lexsort([-end[number], tile])
-        start = np.searchsorted(tile[order], np.arange(self._count.prod() + 1))
+        start = np.searchsorted(tile[order], np.arange(count.prod() + 1))
         # The crowns of all tiles. Two more: arrays of one entry would compile other kernels.
         number = np.append(number[order], [0, 0])
         self._start, self.listed = (mi.UInt32(aligned(each, np.uint32)) for each in (start, number))
         self._end = mi.Float(aligned(end[number]))
-        self._axes = [mi.Vector3f(*self._opaque(axis)) for axis in axes]
-        self._low_at, self._inverse = self._opaque(self._low), self._opaque([1.0 / self._side])[0]
-        self._columns = dr.opaque(mi.UInt32, int(self._count[0]))
-        self._last = self._opaque(self._count - 0.5)
+        self._origin, *self._axes = (opaque_vector(mi, each) for each in (origin, *axes))
+        self._corner, self._last, (self._inverse,) = map(self._opaque, (corner, count - 0.5, [1.0 / side]))
+        self._columns = dr.opaque(mi.UInt32, int(count[0]))
 
     def _opaque(self, values: Iterable[float]) -> list[Jit]:
         """Numbers that may differ from one sun to the next without another kernel."""
@@ -67,10 +66,10 @@ class CrownShadows:
     def passed(self, point: Jit, active: Jit = True) -> Jit:
         """Return the share of sunlight that arrives at points through the crowns, Float."""
         mi, field = self._mi, self._field
-        away = mi.Point3f(point) - mi.Point3f(*self._opaque(self._origin))
+        away = mi.Point3f(point) - mi.Point3f(self._origin)
         place = [
             mi.UInt32(dr.clip((dr.dot(axis, away) - low) * self._inverse, 0.0, last))
-            for axis, low, last in zip(self._axes[:2], self._low_at, self._last, strict=True)
+            for axis, low, last in zip(self._axes[:2], self._corner, self._last, strict=True)
         ]
         tile = place[1] * self._columns + place[0]
         first, end = (dr.gather(mi.UInt32, self._start, tile + k) for k in (0, 1))

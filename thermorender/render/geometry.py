@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.render import turbid
-from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned
+from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned, opaque_vector
 from thermorender.render.crown_shadows import CrownShadows
 from thermorender.render.pixels import pyramid, shapes, slender
 from thermorender.scene.scene import Scene
@@ -139,7 +139,7 @@ class Geometry:
         """Return the share of the sun's light that arrives at points, Float; 0 where inactive. `towards` (3,) points to
         the sun."""
         mi = self.mi
-        ray = mi.Ray3f(point, mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards)))
+        ray = mi.Ray3f(point, opaque_vector(mi, towards))
         free = ~self.caster.ray_test(ray, coherent=True, active=active) & active
         return dr.select(free, mi.Float(1.0) if self.crowns is None else self.crowns_passed(point, towards, free), 0.0)
 

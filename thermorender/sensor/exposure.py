@@ -72,9 +72,8 @@ _GHOST_AGE = 4.0
 # Age [time constants] up to which a frame's own image is continued beyond its borders: e⁻³ of 1 K in 1 % of the pixels
 # is 5 mK.
 _RIM_AGE = 3.0
-# Pixels for each one in which the error of moving the frame's own image is measured, and steps of their place (Roberts
-# 2018).
-_EVERY, _SPREAD = 64, np.array([0.7548776662466927, 0.5698402909980532])
+# Pixels for each one in which the error of moving the frame's own image is measured.
+_EVERY = 64
 # Factor of the error measured at one age on that over all: older instants uncover more than in proportion.
 _OLDER = 1.2
 
@@ -294,27 +293,31 @@ class Exposure:
         rim = np.zeros((camera.height, camera.width), bool)
         rim[around] = True
         rim[inside] = False
-        # Not in rows and columns, which may miss upright and level edges.
-        # Square, since OpenCV moves no image of more than 32 767 columns.
-        side = int(np.ceil(np.sqrt(radiance.size / _EVERY)))
-        spread = np.arange(side**2).reshape(side, side) * _SPREAD[:, None, None] % 1.0
-        here, past = tuple((spread.T * [height, width]).T.astype(int)), self._number(plan, 1.0)
-        some = np.zeros(radiance.shape, bool)
+        here, some = _spread(height, width, _EVERY), np.zeros(radiance.shape, bool)
         some[here] = True
-        time_s, past_s = plan.times_s[plan.own], plan.times_s[past]
+        time_s = plan.times_s[plan.own]
         image = self._radiance_at(time_s, camera, time_s, rim | np.pad(some, most))
         noise = (image[inside] - radiance)[here]
         image[inside] = radiance
         wide = WideImage(image[around], left, top)
+        measured = self._moved_error_mk(plan, ways, wide, here, some, noise)
+        return WideImage(self.sensor.blurred(wide.image), left, top), measured
+
+    def _moved_error_mk(
+        self, plan: Schedule, ways: _Ways, own: WideImage, here: Any, some: NDArray[np.bool_], noise: Image
+    ) -> float:  # fmt: skip
+        """The error of an image that is moved by a time constant [mK], from the pixels `here`, those of the mask
+        `some`, of an earlier instant; `noise` is that of few rays there."""
+        past = self._number(plan, 1.0)
+        time_s, past_s = plan.times_s[plan.own], plan.times_s[past]
         column, row = (position[here] for position in ways(plan.own, past))
-        off = self._radiance_at(past_s, self.sensor.camera, time_s, some)[here] - wide.moved(column, row)
+        off = self._radiance_at(past_s, self.sensor.camera, time_s, some)[here] - own.moved(column, row)
         # What moving objects change is followed apart.
         changing = self._changing_regions(time_s, self.pixels, self._moved_s(plan))
-        still = outside(changing, radiance.shape)[here]
+        still = outside(changing, some.shape)[here]
         square = max(float(np.mean(off**2 - noise**2, where=still)), 0.0) if still.any() else 0.0
         gap = (time_s - past_s) / self._span_s()
-        measured = np.sqrt(square) / (per_mk(self.sensor.camera) * max(gap, 0.1))
-        return WideImage(self.sensor.blurred(wide.image), left, top), float(measured)
+        return float(np.sqrt(square) / (per_mk(self.sensor.camera) * max(gap, 0.1)))
 
     def _seen(self, plan: Schedule, ways: _Ways, own: WideImage, motion: float) -> Schedule:
         """The Schedule with more renders where the images before and after do not see enough of an instant: the last
@@ -509,3 +512,12 @@ class Exposure:
         second *= weight
         guess += weight[here] * (other - guess)
         return np.add(first, second, out=first), guess
+
+
+@lru_cache(maxsize=2)
+def _spread(height: int, width: int, every: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(rows, columns) of one in `every` pixels, scattered, as a lattice may miss upright and level edges. They are
+    square arrays, since OpenCV moves no image of more than 32 767 columns."""
+    side = int(np.ceil(np.sqrt(height * width / every)))
+    row, column = np.random.default_rng(0).random((2, side, side))
+    return (row * height).astype(np.int64), (column * width).astype(np.int64)

@@ -11,7 +11,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.render.arrays import Floats, Jit, aligned
+from thermorender.render.arrays import Floats, Jit, aligned, opaque_vector
 from thermorender.render.geometry import Geometry
 from thermorender.render.light import leaves, radiosity
 from thermorender.scene.crowns import PROJECTION, Crowns
@@ -113,7 +113,7 @@ class Copies:
         mean, spread = np.zeros(len(leaf), np.float32), np.zeros(len(leaf), np.float32)
         if towards[2] <= 0.0:
             return mean, spread
-        sun = mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))
+        sun = opaque_vector(mi, towards)
         # The two sides of a leaf in a crown have the same sunlight: one of them is tested.
         tested = np.flatnonzero(~leaf | (np.cumsum(leaf) % 2 == 1))
         for start in range(0, len(tested), _AT_ONCE):

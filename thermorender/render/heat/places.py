@@ -4,7 +4,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.render.arrays import Jit
+from thermorender.render.arrays import Jit, opaque_vector
 from thermorender.render.geometry import Geometry
 from thermorender.scene.surface import Surface
 
@@ -30,7 +30,7 @@ def sun_cosine(geometry: Geometry, point: Jit, normal: Jit, towards: NDArray[np.
 
 def lit_cosine(geometry: Geometry, normal: Jit, towards: NDArray[np.float64]) -> Jit:
     """Return the cosine of the sun's rays without shadows, Float, 0 on the side away from the sun."""
-    return dr.maximum(dr.dot(normal, _sun(geometry, towards)), 0.0)
+    return dr.maximum(dr.dot(normal, opaque_vector(geometry.mi, towards)), 0.0)
 
 
 def sun_share(
@@ -38,11 +38,7 @@ def sun_share(
 ) -> Jit:  # fmt: skip
     """Return the share of the sun's rays that arrives at points above the surface, Float; 0 on the side away from the
     sun."""
-    return geometry.sunlight(point, towards, active & (dr.dot(normal, _sun(geometry, towards)) > 0.0))
-
-
-def _sun(geometry: Geometry, towards: NDArray[np.float64]) -> Jit:
-    return geometry.mi.Vector3f(*(dr.opaque(geometry.mi.Float, float(value)) for value in towards))
+    return geometry.sunlight(point, towards, active & (dr.dot(normal, opaque_vector(geometry.mi, towards)) > 0.0))
 
 
 def _on_faces(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.physics import sun
 from thermorender.render.air import altitude
-from thermorender.render.arrays import Floats
+from thermorender.render.arrays import Floats, opaque_vector
 from thermorender.render.geometry import Geometry
 from thermorender.render.light import contacts, radiosity
 from thermorender.render.plan import Plan
@@ -105,7 +105,7 @@ def _sunlight(
     rays_of, seen = radiosity.FaceRays(geometry, _SUN_POINTS // 2), np.empty(geometry.face_count)
     if len(touching):
         rays_of.start_in_the_open(contacts.solid(geometry), touching)
-    direction = mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))
+    direction = opaque_vector(mi, towards)
     for first in range(0, geometry.face_count, _FACES_AT_ONCE):
         count = min(_FACES_AT_ONCE, geometry.face_count - first)
         # Opaque: a literal would compile the kernel again for each part.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.physics import sun
-from thermorender.render.arrays import Channels, Floats, Jit, aligned
+from thermorender.render.arrays import Channels, Floats, Jit, aligned, opaque_vector
 from thermorender.render.geometry import Geometry
 from thermorender.render.plan import Plan
 from thermorender.render.turbid import Chord, CrownField, State, UnitBody
@@ -77,7 +77,7 @@ class SunlitLeaves:
         field, mi = geometry.crowns, geometry.mi
         assert field is not None
         self._mi, self._geometry = mi, geometry
-        self._sun, self._towards = towards, mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))
+        self._sun, self._towards = towards, opaque_vector(mi, towards)
         self._others = mi.Float(aligned(self._lattice(field)))
         lit = self._means(field)
         table, first = [], 0
