@@ -162,7 +162,7 @@ def test_two_processes_continue_a_study_as_one(by_workers, tmp_path, monkeypatch
     monkeypatch.setattr(budget.scenes, "made", lambda seed: [])
     folder = write_terrain(tmp_path / "tiny", height=np.random.default_rng(1).uniform(0, 1, (32, 32)))
     scene = coarse(tr.load_scene(folder), 8)
-    monkeypatch.setattr(budget, "load_scene", lambda name: scene)
+    monkeypatch.setattr(budget, "load_drape", lambda name: scene)
     few = {"scene_names": ("tiny",), "drawn": 2, "qualities": ("fast",)}
     one = budget.run(tmp_path / "one", **few)
     kept = dict(list(one.items())[:1])

@@ -4,7 +4,7 @@ surroundings.
 Every texel is a column: its material on the layers beneath, at its position on the mesh. At the end of every step a
 shadow ray from each texel tests for the sun, whose share is linear in time between. Reflected sunlight and the
 long-wave radiation of the surroundings use the rays of the scene's light. They are one value per face, solved between
-columns at the faces' middles, every hour while texels share columns, and every half hour from then on.
+columns at the faces' middles, every hour while texels of a face share columns, and every half hour from then on.
 
 A simulation begins two days before the first instant requested, from settled columns in the open: one day leaves 0.1 K
 (RMS) in a village, 0.4 K in its water. Texels are simulated in blocks, each together with all faces, which bounds
@@ -55,6 +55,8 @@ _OWN_S = 4 * 3600.0
 _DAY_S = 86400
 # Texels simulated at a time: about 350 bytes each.
 _AT_ONCE = 1 << 22
+# Shares of the sun are alike in steps of 1/64 within the last hour, of 1/16 before.
+_FINE, _COARSE, _FINE_S = 64, 16, 3600.0
 # Largest factor on reflectance from the brightness of a texel over that of its class.
 _BRIGHTEST = 2.0
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. ITU-R BT.709-6, item 3.2
@@ -302,14 +304,10 @@ class _Simulation:
         """The _Columns of all faces, then of some texels (without a face: the last of their surface), and the State.
         Columns have the mean deviations of the texels that are `sharing` them: (texels, column of each)."""
         geometry, mi = self.geometry, self.mi
-        last = geometry.face_start[np.searchsorted(geometry.texel_start, texels, "right")] - 1
-        face = np.minimum(self.covers[texels], last)
-        spot = texel_points(geometry, texels, face)
-        body = (face >= self.bodies.start) & (face < self.bodies.stop)
-        spot[body] = self.middle[face[body]]
-        point = np.concatenate([self.middle[self.alone], spot])
+        face, spot = self._points(texels)
+        above = np.float32(geometry.hair) * self.normal[self.alone]
+        point = np.concatenate([self.middle[self.alone] + above, spot])
         face, count = np.concatenate([self.alone, face]).astype(np.uint32), len(self.alone)
-        point += np.float32(geometry.hair) * self.normal[face]
         hidden = np.zeros(len(face), np.float32)
         if self.copies is not None:
             hidden[count:] = self.copies.hidden(face[count:])
@@ -341,22 +339,37 @@ class _Simulation:
         cooler = -humidity.LAPSE_K_M * (point[:, 2] + np.float32(self.scene.altitude_m - self.weather.altitude_m))
         _evaluate(state)
         dr.eval(absorptance)
-        upload = lambda values: (mi.Float(aligned(axis)) for axis in values.T)  # noqa: E731
-        face = mi.UInt32(aligned(face, np.uint32))
-        normal = dr.gather(mi.Vector3f, mi.Vector3f(*upload(self.normal)), face)
+        point, normal, face = self._uploaded(point, face)
         inner = None if self.inner_w_m2 is None else dr.gather(mi.Float, mi.Float(aligned(self.inner_w_m2)), face)
         return _Columns(
-            mi.Point3f(*upload(point)), normal, face, ground, absorptance, row(self.columns.wind_factor),
+            point, normal, face, ground, absorptance, row(self.columns.wind_factor),
             row(self.columns.indoors) > 0.5, mi.Float(aligned(cooler)), mi.Float(aligned(hidden)), inner,
         ), state  # fmt: skip
+
+    def _points(self, texels: NDArray[np.integer]) -> tuple[NDArray[np.integer], NDArray[np.float32]]:
+        """(face of each of some texels, its point a little above it (n, 3) [m]); those without a face have the last of
+        their surface, and texels of bodies the middle of their face."""
+        last = self.geometry.face_start[np.searchsorted(self.geometry.texel_start, texels, "right")] - 1
+        face = np.minimum(self.covers[texels], last)
+        spot = texel_points(self.geometry, texels, face)
+        body = (face >= self.bodies.start) & (face < self.bodies.stop)
+        spot[body] = self.middle[face[body]]
+        return face, spot + np.float32(self.geometry.hair) * self.normal[face]
+
+    def _uploaded(self, point: NDArray[np.float32], face: NDArray[np.integer]) -> tuple[Jit, Jit, Jit]:
+        """(points, normals of their faces, numbers of these) on the device."""
+        mi = self.mi
+        upload = lambda values: (mi.Float(aligned(axis)) for axis in values.T)  # noqa: E731
+        number = mi.UInt32(aligned(face, np.uint32))
+        return mi.Point3f(*upload(point)), dr.gather(mi.Vector3f, mi.Vector3f(*upload(self.normal)), number), number
 
     def _simulated(
         self, texels: NDArray[np.integer], progress: Callable[[float], object]
     ) -> Iterator[NDArray[np.float32]]:
         """Yield surface temperatures of all faces and of some texels, (C,) float32 [K], at each instant requested.
-        Texels of a face and material share a column until four hours before the first instant; from then on each has
-        its own sun and deviations."""
-        mi, own = self.mi, None
+        Texels of a face and material share a column until four hours before the first instant; from then on only those
+        that also have like sun, and with deviations none."""
+        mi, own, shown = self.mi, None, None
         light: _Light | None = None
         sun = _SunShares(self)
         self.arrives: Any = None
@@ -371,7 +384,13 @@ class _Simulation:
             yield np.array(balance.seen_k(state, columns.ground))
         for number, (at, seconds) in enumerate(steps):
             if own is not None and at >= first_s - _OWN_S - 1e-6:
-                index = mi.UInt32(aligned(np.concatenate([np.arange(len(self.alone)), own]), np.uint32))
+                alone = np.arange(len(self.alone))
+                if self.deviations is None:
+                    ends = [at + seconds for at, seconds in steps[number:]]
+                    some, each = self._in_like_sun(texels, ends, first_s - _FINE_S)
+                    texels, own = texels[some], own[some]
+                    shown = np.concatenate([alone, len(alone) + each])
+                index = mi.UInt32(aligned(np.concatenate([alone, own]), np.uint32))
                 own_of = lambda values, index=index: [dr.gather(mi.Float, each, index) for each in values]  # noqa: E731
                 surface_k, film = own_of([state.surface_k, state.film])
                 liquid, remainder_k = (each and own_of(each) for each in (state.liquid, state.remainder_k))
@@ -388,7 +407,8 @@ class _Simulation:
             _evaluate(state)
             progress((number + 1) / len(steps))
             if self.start + np.timedelta64(round(at + seconds), "s") in self.asked:
-                yield np.array(balance.seen_k(state, columns.ground))
+                kelvin = np.array(balance.seen_k(state, columns.ground))
+                yield kelvin if shown is None else kelvin[shown]
 
     def _shared(self, texels: NDArray[np.integer]) -> tuple[NDArray[np.integer], NDArray[np.int64]]:
         """(texels that need a column beside those of the faces, number of the column of each of `texels`): texels of
@@ -406,6 +426,26 @@ class _Simulation:
         column = self.column[within]
         column[~known] = len(self.alone) + rank[own]
         return texels[~known][some[order]], column
+
+    def _in_like_sun(
+        self, texels: NDArray[np.integer], times_s: Sequence[float], fine_from_s: float
+    ) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
+        """(index of the texels that need a column, number among these of each of `texels`): texels of one face and
+        material share it if their sun is alike at all these times."""
+        face, point = self._points(texels)
+        place = self._uploaded(point, face)
+        key = _mixed(face.astype(np.uint64) << 8 | self.material[texels])
+        for time_s in times_s:
+            towards = self._sun(self._instant(time_s))
+            if towards[2] > 0.0:
+                share = np.array(self.sun_share(*place, towards))
+                key = _mixed(key ^ np.rint(share * (_FINE if time_s > fine_from_s else _COARSE)).astype(np.uint64))
+        _, some, each = np.unique(key, return_index=True, return_inverse=True)
+        # Neighbours stay together in memory.
+        order = np.argsort(some)
+        rank = np.empty_like(order)
+        rank[order] = np.arange(len(order))
+        return some[order], rank[each]
 
     def _sun(self, instant: np.datetime64) -> NDArray[np.float64]:
         azimuth, elevation = self.weather.sun(instant)
@@ -581,6 +621,13 @@ def _alike(material: NDArray[np.integer], block: int) -> NDArray[np.int64]:
                 stands = number[a, b][:rows, :columns]
                 np.copyto(found[c, d][:rows, :columns], stands, where=one == other)
     return found.reshape(-1)
+
+
+def _mixed(key: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Numbers of 64 bits in which every bit of `key` takes part: the finalizer of MurmurHash3."""
+    for factor in (0xFF51AFD7ED558CCD, 0xC4CEB9FE1A85EC53):
+        key = (key ^ key >> np.uint64(33)) * np.uint64(factor)
+    return key ^ key >> np.uint64(33)
 
 
 def _leaves(geometry: Geometry) -> NDArray[np.bool_]:
