@@ -46,12 +46,12 @@ def write_car(path):
 
 
 def upper(surface, height, south_of=np.inf):
-    """Temperatures of the faces that look up at a height, and reach south of a place [m], (n,) [K]."""
+    """(temperatures of the faces that look up at a height, and reach south of a place [m], their areas), (n,) [K]."""
     corner = surface.vertices[surface.faces]
     across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     level = (across[:, 2] > 0.99 * np.linalg.norm(across, axis=1)) & (np.ptp(corner[..., 2], axis=1) < 1e-6)
     here = level & (abs(corner[:, 0, 2] - height) < 1e-3) & (corner[..., 1].min(axis=1) < south_of)
-    return surface.temperature.ravel()[: len(corner)][here]
+    return surface.temperature.ravel()[: len(corner)][here], 0.5 * across[here, 2]
 
 
 # Through a thicker sheet with air behind, its own resistance counts.
@@ -163,17 +163,18 @@ def test_car_follows_the_weather_of_a_day(tmp_path):
     air = scene.weather.at(np.array(times)).air_k
     names = [surface.name for surface in scene.surfaces]
     assert names[1:] == ["parked:car:mesh", *(f"running:car:mesh{part}" for part in ("", ":bonnet", ":cabin"))]
-    roofs = [upper(each.surfaces[1], 1.45).mean() for each in (dawn, noon)]
+    mean = lambda found: np.average(found[0], weights=found[1])  # noqa: E731
+    roofs = [mean(upper(each.surfaces[1], 1.45)) for each in (dawn, noon)]
     assert air[0] - 4.0 < roofs[0] < air[0]
     assert air[1] + 8.0 < roofs[1] < air[1] + 40.0
     # The north side is in shade at noon.
     shaded = noon.surfaces[1].temperature.min()
     assert shaded < air[1] + 1.0
     # Where the cabin covers faces in part, their open part is in the sun.
-    assert upper(noon.surfaces[1], 0.85, south_of=-1.66).min() > roofs[1] - 6.0
+    assert upper(noon.surfaces[1], 0.85, south_of=-1.66)[0].min() > roofs[1] - 6.0
     for each, roof in zip((dawn, noon), roofs, strict=True):
         # 2400 W on 7.15 m²: some 336 W m⁻² at about 40 W m⁻² K⁻¹.
-        assert roof + 3.0 < upper(each.surfaces[3], 0.85).mean() < roof + 12.0
+        assert roof + 3.0 < mean(upper(each.surfaces[3], 0.85)) < roof + 12.0
     area = 2.0 * (1.8 * 1.3 + 1.8 * 0.55 + 1.3 * 0.55)
     assert scene.surfaces[3].inner_w_m2 == pytest.approx(2400.0 / area)
     assert scene.surfaces[2].inner_w_m2 == 0.0

@@ -1,10 +1,13 @@
 """Temperatures of a terrain's texels by time stepping of its heat balance on the device, with sun, shadow and
 surroundings.
 
-Every texel is a column: its material on the layers beneath, at its position on the mesh. At the end of every step a
-shadow ray from each texel tests for the sun, whose share is linear in time between. Reflected sunlight and the
-long-wave radiation of the surroundings use the rays of the scene's light. They are one value per face, solved between
-columns at the faces' middles, every hour while texels of a face share columns, and every half hour from then on.
+Every texel is a column, or one for each part of a mixture, whose emissions add up: the material on the layers beneath,
+at the texel's position on the mesh. At the end of every step a shadow ray from each column tests for the sun, whose
+share is linear in time between. Columns of one face and material are one until four hours before the first instant;
+from then on those are that also have like sun: 12 mK RMS, and a third to two thirds of the columns.
+
+Reflected sunlight and the long-wave radiation of the surroundings use the rays of the scene's light. They are one value
+per face, solved between columns at the faces' middles, every hour at first and every half hour in the last four.
 
 A simulation begins two days before the first instant requested, from settled columns in the open: one day leaves 0.1 K
 (RMS) in a village, 0.4 K in its water. Texels are simulated in blocks, each together with all faces, which bounds
@@ -53,7 +56,7 @@ _SHARED_LIGHT_S, _LIGHT_S, _RAYS, _REFLECTIONS = 3600.0, 1800.0, 64, 4
 # Time before the first instant in which each texel has its own sun; earlier those of a face and material share it [s].
 _OWN_S = 4 * 3600.0
 _DAY_S = 86400
-# Texels simulated at a time: about 350 bytes each.
+# Columns of texels simulated at a time, about 350 bytes each; twice as many where some share a column to the end.
 _AT_ONCE = 1 << 22
 # Shares of the sun are alike in steps of 1/64 within the last hour, of 1/16 before.
 _FINE, _COARSE, _FINE_S = 64, 16, 3600.0
@@ -62,7 +65,7 @@ _BRIGHTEST = 2.0
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. ITU-R BT.709-6, item 3.2
 _WHAT = "simulating the heat balance"
 # ((part, share), …) of each material of a scene.
-_Parts = Sequence[tuple[tuple[Material, float], ...]]
+_PartsOf = Sequence[tuple[tuple[Material, float], ...]]
 
 
 def solved(
@@ -79,22 +82,8 @@ def solved(
     report_progress(_WHAT, 0.0)
     higher_m = scene.altitude_m - scene.weather.altitude_m
     parts = parts_in_weather(scene.materials, scene.weather, asked[0], higher_m)
-    kinds = np.unique(np.concatenate([np.unique(each.material) for each in scene.surfaces[: scene.solved_count]]))
-    most = max(len(parts[kind]) for kind in kinds)
-    found: Any = 0.0
-    share_done = 1.0 / most
     simulation = _Simulation(scene, parts, geometry, asked, deviations, block)
-    for number in range(most):
-        of = {kind: parts[kind][min(number, len(parts[kind]) - 1)][0] for kind in kinds}
-        weight = np.array([_emits(part, number) for part in parts])
-
-        def report(share: float, n: int = number) -> None:
-            report_progress(_WHAT, (n + share) * share_done)
-
-        # Emissions of a mixture's parts add up. Few texels have as many parts as the largest mixture.
-        kelvin = simulation.run(of, (weight[simulation.material] > 0.0) & simulation.shown, report)
-        found = kelvin if most == 1 else found + weight[simulation.material] * kelvin.astype(np.float64) ** 4
-    kelvin = simulation.covered(found if most == 1 else found**0.25)
+    kelvin = simulation.covered(simulation.run(lambda share: report_progress(_WHAT, share)))
     # Dr.Jit keeps the memory of the largest step, 1 GB on heath, which no later work needs.
     dr.flush_malloc_cache()
     report_progress(_WHAT, 1.0)
@@ -108,33 +97,76 @@ def solved(
     return [scenes[at] for at in times]
 
 
-def _emits(parts: tuple[tuple[Material, float], ...], number: int) -> float:
-    """Share of one part in a mixture's emission at a common temperature; 0 where the mixture has fewer parts."""
-    emissivity = [share * open_ground.broadband(material) for material, share in parts]
-    return emissivity[number] / sum(emissivity) if number < len(parts) else 0.0
-
-
 @dataclass(frozen=True, eq=False)
 class _Columns:
-    """Columns at points of the terrain: Dr.Jit arrays, an entry each."""
+    """Columns at points of the terrain: Dr.Jit arrays. Columns of the parts of a mixture stand at one point."""
 
+    # An entry each point, those of the faces first
     point: Any  # a little above the face
     normal: Any
     face: Any
+    cooler: Any  # air temperature there minus that of the weather [K]
+    hidden: Any  # share of the sky lost by a leaf that differs from the mean of its patch; 0 elsewhere
+    # An entry each column
+    place: Any  # number of its point; None: its own
     ground: ColumnProperties
     absorptance: Any
     wind_factor: Any
     indoors: Any
-    cooler: Any  # air temperature there minus that of the weather [K]
-    hidden: Any  # share of the sky lost by a leaf that differs from the mean of its patch; 0 elsewhere
     inner_w_m2: Any  # heat from within; None: no object has any
+
+    def at_place(self, values: Jit) -> Jit:
+        """Return values of the points at the columns."""
+        return values if self.place is None else dr.gather(type(values), values, self.place)
+
+
+class _Parts:
+    """The parts of places' materials, a column each: `place`, `kind` and share in the `weight` of emission (P,)."""
+
+    def __init__(self, kinds: "_Kinds", material: NDArray[np.integer]) -> None:
+        count = kinds.count[material]
+        self.place = np.repeat(np.arange(len(material)), count)
+        self._start = np.cumsum(count) - count
+        part = np.arange(len(self.place)) - self._start[self.place]
+        self.kind = kinds.kind[material[self.place], part]
+        self._weight = kinds.weight[material[self.place], part] if (count > 1).any() else None
+
+    def kelvin(self, columns: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the temperatures of the places, of which the columns' emissions add up (P,) [K]."""
+        if self._weight is None:
+            return columns
+        return (np.add.reduceat(self._weight * columns.astype(np.float64) ** 4, self._start) ** 0.25).astype(np.float32)
+
+
+class _Kinds:
+    """The kinds of column that parts of materials are: each material has `count` (M,) of them, with the numbers `kind`
+    and shares in its emission at a common temperature, `weight` (M, most)."""
+
+    def __init__(
+        self, parts: _PartsOf, present: NDArray[np.integer], make: Callable[[Sequence[Material]], Any]
+    ) -> None:
+        used = [part for number in present for part, _ in parts[number]]
+        columns = make(used)
+        # Parts of several mixtures have the same column.
+        given = [values for values in columns.ground if values is not None]
+        rows = [columns.absorptance, columns.wind_factor, columns.indoors, columns.snow_m, *map(np.atleast_2d, given)]
+        _, first, number = np.unique(np.vstack(rows), axis=1, return_index=True, return_inverse=True)
+        self.columns = columns if len(first) == len(used) else make([used[index] for index in first])
+        number = np.arange(len(used)) if len(first) == len(used) else number
+        self.count = np.ones(len(parts), np.int64)
+        self.count[present] = [len(parts[each]) for each in present]
+        self.kind = np.zeros((len(parts), self.count.max()), np.int64)
+        self.weight = np.ones(self.kind.shape)
+        for material, kinds in zip(present, np.split(number, np.cumsum(self.count[present])[:-1]), strict=True):
+            emitted = np.array([share * open_ground.broadband(part) for part, share in parts[material]])
+            self.kind[material, : len(kinds)], self.weight[material, : len(kinds)] = kinds, emitted / emitted.sum()
 
 
 class _Simulation:
     """Simulations of a terrain's texels, with the faces and the light between them that all share."""
 
     def __init__(
-        self, scene: Scene, parts: _Parts, geometry: Geometry, asked: "list[np.datetime64]",
+        self, scene: Scene, parts: _PartsOf, geometry: Geometry, asked: "list[np.datetime64]",
         deviations: Deviations | None, block: int,
     ) -> None:  # fmt: skip
         self.scene, self.parts, self.geometry, self.mi, self.asked = scene, parts, geometry, geometry.mi, asked
@@ -164,8 +196,6 @@ class _Simulation:
         self.alone, self.column = np.unique(_first_sides(geometry)[: self.faces], return_inverse=True)
         self.first = self._firsts(block)
         self.start = max(asked[0] - np.timedelta64(int(_BEFORE_S), "s"), self.weather.time[0])
-        # Change of the ground over the last day of settling [K], the largest of all runs.
-        self.settled_k = 0.0
         transport, _ = transport_cache.traced(geometry, _RAYS)
         self.operator, self.threads = transport.operator.astype(np.float32), threads()
         self.sky = transport.sky.sum(axis=1).astype(np.float32)
@@ -174,6 +204,13 @@ class _Simulation:
             both = _both_sides(geometry)
             self.operator, self.sky, self.background = both @ self.operator, both @ self.sky, both @ self.background
         self.reflectance, self.emissivity = self._of_faces()
+        snow = float(self.weather.at(asked[0]).snow_m)
+        present = np.unique(np.concatenate([self.material, self.face_material[: self.faces]]))
+        make = lambda of: open_ground.columns(of, self.weather, snow, open_ground.STATION_ROUGHNESS_M)  # noqa: E731
+        self.kinds = _Kinds(parts, present, make)
+        # `settled_k` is the change of the ground over the last day of settling [K].
+        self.state, self.settled_k = open_ground.settled(self.kinds.columns, self.weather, self.start, self.inside_k)
+        self.of_faces = _Parts(self.kinds, self.face_material[self.alone])
         solid = sum(surface.instances is None for surface in terrain)
         self.bodies = range(*(int(geometry.face_start[number]) for number in (ground, solid)))
         self.solid_faces = int(geometry.face_start[solid])
@@ -218,29 +255,23 @@ class _Simulation:
             return sum(share * of(part) for part, share in parts)
         return of(material)
 
-    def run(
-        self, materials: dict[int, Material], wanted: NDArray[np.bool_], progress: Callable[[float], object]
-    ) -> NDArray[np.float32]:
-        """Return the temperature of all texels at each instant requested, (n, T) float32 [K]; 0 where not `wanted`."""
-        self.row = np.zeros(256, dtype=np.uint32)
-        self.row[list(materials)] = np.arange(len(materials))
-        weather, snow = self.weather, float(self.weather.at(self.asked[0]).snow_m)
-        self.columns = open_ground.columns(list(materials.values()), weather, snow, open_ground.STATION_ROUGHNESS_M)
-        self.state, change = open_ground.settled(self.columns, weather, self.start, self.inside_k)
-        self.settled_k = max(self.settled_k, change)
+    def run(self, progress: Callable[[float], object]) -> NDArray[np.float32]:
+        """Return the temperature of all texels at each instant requested, (n, T) float32 [K]; 0 where none shows."""
         found = np.zeros((len(self.asked), self.texels), dtype=np.float32)
-        own = np.flatnonzero(wanted)
+        own = np.flatnonzero(self.shown)
         every = own[self.first[own] == own]
-        blocks = [every[first : first + _AT_ONCE] for first in range(0, len(every), _AT_ONCE)]
+        most = _AT_ONCE if self.deviations is not None or self.scene.spec.temperature.brightness else 2 * _AT_ONCE
+        before = np.cumsum(self.kinds.count[self.material[every]]) - 1
+        blocks = np.split(every, np.flatnonzero(np.diff(before // most)) + 1)
         for number, texels in enumerate(blocks):
 
             def report(share: float, n: int = number) -> None:
                 progress((n + share) / len(blocks))
 
-            for index, kelvin in enumerate(self._simulated(texels, report)):
-                found[index, texels] = kelvin[len(self.alone) :]
+            for index, (of_faces, kelvin) in enumerate(self._simulated(texels, report)):
+                found[index, texels] = kelvin
                 if self.copies is not None:
-                    self.copies.take_means(index, found[index], texels, self.covers[texels], kelvin[self.column])
+                    self.copies.take_means(index, found[index], texels, self.covers[texels], of_faces[self.column])
         found[:, own] = found[:, self.first[own]]
         if self.copies is not None:
             self.copies.spread(self.first)
@@ -299,29 +330,33 @@ class _Simulation:
         return found
 
     def _columns(
-        self, texels: NDArray[np.integer], sharing: tuple[NDArray[np.integer], NDArray[np.int64]] | None = None
-    ) -> tuple[_Columns, State]:
-        """The _Columns of all faces, then of some texels (without a face: the last of their surface), and the State.
-        Columns have the mean deviations of the texels that are `sharing` them: (texels, column of each)."""
+        self, texels: NDArray[np.integer], kinds: NDArray[np.integer],
+        sharing: tuple[NDArray[np.integer], NDArray[np.integer]] | None = None,
+    ) -> tuple[_Columns, State]:  # fmt: skip
+        """The _Columns of all faces' parts, then of parts of some texels, of these `kinds`, and the State. Columns have
+        the mean deviations of the texels that are `sharing` them: (texels, column of each)."""
         geometry, mi = self.geometry, self.mi
-        face, spot = self._points(texels)
+        count = len(self.alone)
+        own, place = np.unique(texels, return_inverse=True)
+        face, spot = self._points(own)
         above = np.float32(geometry.hair) * self.normal[self.alone]
         point = np.concatenate([self.middle[self.alone] + above, spot])
-        face, count = np.concatenate([self.alone, face]).astype(np.uint32), len(self.alone)
+        face = np.concatenate([self.alone, face]).astype(np.uint32)
         hidden = np.zeros(len(face), np.float32)
         if self.copies is not None:
             hidden[count:] = self.copies.hidden(face[count:])
-        material = np.concatenate([self.face_material[self.alone], self.material[texels]])
-        kind = mi.UInt32(aligned(self.row[material], np.uint32))
+        place = np.concatenate([self.of_faces.place, count + place])
+        alike = self.kinds.columns
+        kind = mi.UInt32(aligned(np.concatenate([self.of_faces.kind, kinds]), np.uint32))
         row = lambda values: dr.gather(mi.Float, mi.Float(aligned(values)), kind)  # noqa: E731
         rows = lambda values: [row(each) for each in values]  # noqa: E731
         properties: dict[str, Any] = {
             name: rows(values) if isinstance(values, list) else None if values is None else row(values)
-            for name, values in self.columns.ground._asdict().items()
+            for name, values in alike.ground._asdict().items()
         }
         ground = ColumnProperties(**properties)
         # A face that no texel shares has the deviations of the texel at its middle.
-        column = np.concatenate([self.face_texel[self.alone], texels])
+        column = np.concatenate([self.face_texel[self.alone], own])[place]
         deviations = [] if self.deviations is None else [each[column] for each in self.deviations[1:]]
         reflects = self.reflects[column]
         if sharing is not None and self.deviations is not None:
@@ -331,7 +366,7 @@ class _Simulation:
                 np.copyto(own, total / number, where=total > 0.0, casting="same_kind")
         if deviations:
             ground = _varied(ground, *(mi.Float(aligned(each)) for each in deviations))
-        reflected = row(1.0 - self.columns.absorptance) * mi.Float(aligned(reflects))
+        reflected = row(1.0 - alike.absorptance) * mi.Float(aligned(reflects))
         begin = self.state
         liquid = None if begin.liquid is None else rows(begin.liquid)
         state = State(row(begin.surface_k), rows(begin.layers_k), row(begin.film), liquid)
@@ -339,11 +374,11 @@ class _Simulation:
         cooler = -humidity.LAPSE_K_M * (point[:, 2] + np.float32(self.scene.altitude_m - self.weather.altitude_m))
         _evaluate(state)
         dr.eval(absorptance)
-        point, normal, face = self._uploaded(point, face)
-        inner = None if self.inner_w_m2 is None else dr.gather(mi.Float, mi.Float(aligned(self.inner_w_m2)), face)
+        inner = None if self.inner_w_m2 is None else mi.Float(aligned(self.inner_w_m2[face[place]]))
+        at = None if len(place) == len(face) else mi.UInt32(aligned(place, np.uint32))
         return _Columns(
-            point, normal, face, ground, absorptance, row(self.columns.wind_factor),
-            row(self.columns.indoors) > 0.5, mi.Float(aligned(cooler)), mi.Float(aligned(hidden)), inner,
+            *self._uploaded(point, face), mi.Float(aligned(cooler)), mi.Float(aligned(hidden)), at, ground, absorptance,
+            row(alike.wind_factor), row(alike.indoors) > 0.5, inner,
         ), state  # fmt: skip
 
     def _points(self, texels: NDArray[np.integer]) -> tuple[NDArray[np.integer], NDArray[np.float32]]:
@@ -365,87 +400,91 @@ class _Simulation:
 
     def _simulated(
         self, texels: NDArray[np.integer], progress: Callable[[float], object]
-    ) -> Iterator[NDArray[np.float32]]:
-        """Yield surface temperatures of all faces and of some texels, (C,) float32 [K], at each instant requested.
-        Texels of a face and material share a column until four hours before the first instant; from then on only those
-        that also have like sun, and with deviations none."""
-        mi, own, shown = self.mi, None, None
+    ) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+        """Yield surface temperatures of all faces that have columns and of some texels, float32 [K], at each instant
+        requested. Texels of a face share the columns of their materials' parts until four hours before the first
+        instant; from then on only those that also have like sun, and with deviations none."""
+        mi, parts = self.mi, _Parts(self.kinds, self.material[texels])
         light: _Light | None = None
         sun = _SunShares(self)
         self.arrives: Any = None
         steps = steps_to(self.start, self.asked)
         first_s = float((self.asked[0] - self.start) / np.timedelta64(1, "s"))
-        if first_s and not self.scene.spec.temperature.brightness:
-            some, own = self._shared(texels)
-            columns, state = self._columns(some, (texels, own))
+        faces, of = len(self.of_faces.kind), texels[parts.place]
+        # The column of each part of the texels.
+        some: NDArray[np.integer]
+        own: NDArray[np.integer]
+        later: NDArray[np.integer]
+        own = faces + np.arange(len(of))
+        shared = bool(first_s) and not self.scene.spec.temperature.brightness
+        if shared:
+            some, own = self._shared(of, parts.kind)
+            columns, state = self._columns(of[some], parts.kind[some], (of, own))
         else:
-            columns, state = self._columns(texels)
+            columns, state = self._columns(of, parts.kind)
+
+        def found() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+            kelvin = np.array(balance.seen_k(state, columns.ground))
+            return self.of_faces.kelvin(kelvin[:faces]), parts.kelvin(kelvin[own])
+
         if not first_s:
-            yield np.array(balance.seen_k(state, columns.ground))
+            yield found()
         for number, (at, seconds) in enumerate(steps):
-            if own is not None and at >= first_s - _OWN_S - 1e-6:
-                alone = np.arange(len(self.alone))
+            if shared and at >= first_s - _OWN_S - 1e-6:
+                some, later = np.arange(len(of)), faces + np.arange(len(of))
                 if self.deviations is None:
                     ends = [at + seconds for at, seconds in steps[number:]]
-                    some, each = self._in_like_sun(texels, ends, first_s - _FINE_S)
-                    texels, own = texels[some], own[some]
-                    shown = np.concatenate([alone, len(alone) + each])
-                index = mi.UInt32(aligned(np.concatenate([alone, own]), np.uint32))
+                    some, later = self._in_like_sun(texels, parts, ends, first_s - _FINE_S)
+                index = mi.UInt32(aligned(np.concatenate([np.arange(faces), own[some]]), np.uint32))
                 own_of = lambda values, index=index: [dr.gather(mi.Float, each, index) for each in values]  # noqa: E731
                 surface_k, film = own_of([state.surface_k, state.film])
                 liquid, remainder_k = (each and own_of(each) for each in (state.liquid, state.remainder_k))
                 state = State(surface_k, own_of(state.layers_k), film, liquid, remainder_k)
-                columns, _ = self._columns(texels)
+                columns, _ = self._columns(of[some], parts.kind[some])
                 _evaluate(state)
-                own, sun, light = None, _SunShares(self), None
-            sun.step(columns, at, seconds, own is not None)
+                own, shared, sun, light = later, False, _SunShares(self), None
+            sun.step(columns, at, seconds, shared)
             if light is None or at >= light.until:
-                every_s = max(_LIGHT_S if own is None else _SHARED_LIGHT_S, seconds)
-                light = self._light(at, seconds, every_s, balance.seen_k(state, columns.ground), columns, sun)
+                every_s = max(_SHARED_LIGHT_S if shared else _LIGHT_S, seconds)
+                kelvin = np.array(balance.seen_k(state, columns.ground))[:faces]
+                light = self._light(at, seconds, every_s, self.of_faces.kelvin(kelvin), columns, sun)
             first, second = (self._forcing(at + offset, light, columns, sun) for offset in balance.stage_times(seconds))
             state, _ = balance.step(Library, state, columns.ground, first, second, dr.opaque(mi.Float, seconds))
             _evaluate(state)
             progress((number + 1) / len(steps))
             if self.start + np.timedelta64(round(at + seconds), "s") in self.asked:
-                kelvin = np.array(balance.seen_k(state, columns.ground))
-                yield kelvin if shown is None else kelvin[shown]
+                yield found()
 
-    def _shared(self, texels: NDArray[np.integer]) -> tuple[NDArray[np.integer], NDArray[np.int64]]:
-        """(texels that need a column beside those of the faces, number of the column of each of `texels`): texels of
-        one face and material share a column, that of the face where its middle has their material."""
+    def _shared(
+        self, texels: NDArray[np.integer], kinds: NDArray[np.integer]
+    ) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
+        """(index of the parts that need a column beside those of the faces, number of the column of each part). Parts
+        are `kinds` of column at `texels`: those of one kind share a column on a face, its own if it has this kind."""
         face = self.covers[texels].astype(np.int64)
-        within = np.minimum(face, self.faces - 1)
-        known = (face < self.solid_faces) & (self.material[texels] == self.face_material[within])
-        _, some, own = np.unique(
-            face[~known] * 256 + self.material[texels[~known]], return_index=True, return_inverse=True
-        )
-        # Columns follow the texels' order.
-        order = np.argsort(some)
-        rank = np.empty_like(order)
-        rank[order] = np.arange(len(order))
-        column = self.column[within]
-        column[~known] = len(self.alone) + rank[own]
-        return texels[~known][some[order]], column
+        faces, most = len(self.of_faces.kind), int(self.kinds.kind.max()) + 1
+        of_faces = self.of_faces.place * most + self.of_faces.kind
+        wanted = self.column[np.minimum(face, self.faces - 1)] * most + kinds
+        order = np.argsort(of_faces)
+        column = order[np.minimum(np.searchsorted(of_faces, wanted, sorter=order), faces - 1)]
+        own = (face >= self.solid_faces) | (of_faces[column] != wanted)
+        some, number = _first_of((face * most + kinds)[own])
+        column[own] = faces + number
+        return np.flatnonzero(own)[some], column
 
     def _in_like_sun(
-        self, texels: NDArray[np.integer], times_s: Sequence[float], fine_from_s: float
+        self, texels: NDArray[np.integer], parts: _Parts, times_s: Sequence[float], fine_from_s: float
     ) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
-        """(index of the texels that need a column, number among these of each of `texels`): texels of one face and
-        material share it if their sun is alike at all these times."""
+        """(index of the `parts` of texels that need a column, number of the column of each part): those of one kind
+        share it on a face where their sun is alike at all these times."""
         face, point = self._points(texels)
-        place = self._uploaded(point, face)
-        key = _mixed(face.astype(np.uint64) << 8 | self.material[texels])
+        at, key = self._uploaded(point, face), face.astype(np.uint64)
         for time_s in times_s:
             towards = self._sun(self._instant(time_s))
             if towards[2] > 0.0:
-                share = np.array(self.sun_share(*place, towards))
-                key = _mixed(key ^ np.rint(share * (_FINE if time_s > fine_from_s else _COARSE)).astype(np.uint64))
-        _, some, each = np.unique(key, return_index=True, return_inverse=True)
-        # Neighbours stay together in memory.
-        order = np.argsort(some)
-        rank = np.empty_like(order)
-        rank[order] = np.arange(len(order))
-        return some[order], rank[each]
+                share = np.array(self.sun_share(*at, towards))
+                key = _mixed(key) ^ np.rint(share * (_FINE if time_s > fine_from_s else _COARSE)).astype(np.uint64)
+        some, number = _first_of(_mixed(_mixed(key)[parts.place] ^ parts.kind.astype(np.uint64)))
+        return some, len(self.of_faces.kind) + number
 
     def _sun(self, instant: np.datetime64) -> NDArray[np.float64]:
         azimuth, elevation = self.weather.sun(instant)
@@ -472,6 +511,7 @@ class _Simulation:
         towards = self._sun(instant)
         one = lambda value: dr.opaque(mi.Float, float(value))  # noqa: E731
         gathered = lambda values: dr.gather(mi.Float, values, columns.face)  # noqa: E731
+        at_place = columns.at_place
         sine = max(towards[2], 0.0)
         level = found.direct_w_m2 * sine + found.diffuse_w_m2
         sunlight = one(found.diffuse_w_m2) * gathered(light.sky) + one(level) * gathered(light.reflected)
@@ -479,13 +519,16 @@ class _Simulation:
             more, share = columns.hidden > 0.0, sun.at(at_s)
             sunlight += one(found.direct_w_m2) * self._cosine(columns.normal, columns.face, more, share, at_s)
         air = one(found.air_k) + columns.cooler
-        # Relative humidity is constant with height; pressure follows the lapse of the standard atmosphere.
-        saturation, below = (turbulence.saturation_vapour(Library, each)[0] for each in (air, one(found.air_k)))
-        thinner = dr.exp(humidity.PRESSURE_EXPONENT * dr.log(air / one(found.air_k)))
         longwave = one(found.longwave_w_m2) * gathered(light.sky) + gathered(light.surroundings)
         if self.copies is not None:
             # Other leaves, about as warm as the air, hide the sky.
             longwave += columns.hidden * (STEFAN_BOLTZMANN * dr.square(dr.square(air)) - one(found.longwave_w_m2))
+        if columns.place is not None:
+            dr.eval(sunlight, longwave, air)
+        sunlight, longwave, air = at_place(sunlight), at_place(longwave), at_place(air)
+        # Relative humidity is constant with height; pressure follows the lapse of the standard atmosphere.
+        saturation, below = (turbulence.saturation_vapour(Library, each)[0] for each in (air, one(found.air_k)))
+        thinner = dr.exp(humidity.PRESSURE_EXPONENT * dr.log(air / one(found.air_k)))
         return Forcing(
             absorbed=columns.absorptance * sunlight,
             longwave=longwave,
@@ -501,10 +544,11 @@ class _Simulation:
         )
 
     def _light(
-        self, at_s: float, seconds: float, every_s: float, seen_k: Jit, columns: _Columns, sun: "_SunShares"
-    ) -> "_Light":
-        """The _Light between the faces from `at_s` on, where a step of `seconds` begins, for an interval `every_s`;
-        each call adds one reflection to the light of the call before."""
+        self, at_s: float, seconds: float, every_s: float, seen_k: NDArray[np.float32], columns: _Columns,
+        sun: "_SunShares",
+    ) -> "_Light":  # fmt: skip
+        """The _Light between the faces, of temperatures `seen_k`, from `at_s` on, where a step of `seconds` begins, for
+        an interval `every_s`; each call adds one reflection to the light of the call before."""
         mi = self.mi
         middle_s = at_s + 0.5 * every_s
         middle = min(self._instant(middle_s), self.weather.time[-1])
@@ -521,7 +565,7 @@ class _Simulation:
             lit = np.array(self._cosine(normal, face, mi.Bool(False), share, middle_s))
             own[: self.faces] += np.float32(found.direct_w_m2 / max(level, 1.0)) * lit[self.column]
         kelvin = self.face_kelvin.copy()
-        kelvin[: self.faces] = np.array(seen_k)[self.column]
+        kelvin[: self.faces] = seen_k[self.column]
         emitted = self.emissivity * np.float32(STEFAN_BOLTZMANN) * kelvin**4
         sky = self.sky * np.float32(found.longwave_w_m2)
         for _ in range(1 if self.arrives is not None else _REFLECTIONS):
@@ -621,6 +665,15 @@ def _alike(material: NDArray[np.integer], block: int) -> NDArray[np.int64]:
                 stands = number[a, b][:rows, :columns]
                 np.copyto(found[c, d][:rows, :columns], stands, where=one == other)
     return found.reshape(-1)
+
+
+def _first_of(key: NDArray[Any]) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
+    """(index of the first entry with each value, in ascending order; number among these of each entry's value)."""
+    _, first, each = np.unique(key, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return first[order], rank[each]
 
 
 def _mixed(key: NDArray[np.uint64]) -> NDArray[np.uint64]:
