@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -413,3 +414,14 @@ def test_a_text_in_a_gzip_file_comes_back_and_a_cut_one_is_refused(tmp_path):
         path.write_bytes(damaged)
         with pytest.raises(ThermorenderError, match=r"table\.csv\.gz is not a whole gzip file .*compress it again"):
             formats.read_text(path)
+
+
+@pytest.mark.parametrize("length", [2**31 - 1, 2**32 - 1])
+def test_a_chunk_of_a_png_longer_than_its_file_is_not_decoded(length):
+    """OpenCV would reserve what it states, up to 4 GB."""
+    picture = formats.encoded_image(".png", np.zeros((3, 4), np.uint8))
+    assert formats.decoded(picture, -1).shape == (3, 4)
+    at = picture.index(b"IDAT") - 4
+    cut = picture[:at] + length.to_bytes(4, "big") + picture[at + 4 :]
+    with mock.patch("cv2.imdecode", side_effect=AssertionError("decoded")):
+        assert formats.decoded(cut, -1) is None

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 _SEAL = "checksum"
 # Tags of a picture that lead to those of EXIF and GPS, and that of an XMP packet.
 _EXIF, _GPS, _XMP = 34665, 34853, 700
+_PNG = b"\x89PNG\r\n\x1a\n"
 
 
 # --- text -------------------------------------------------------------------------------------------------------
@@ -229,6 +230,8 @@ def decoded(data: bytes, flags: int) -> np.ndarray | None:
     import cv2
     import numpy as np
 
+    if data[:8] == _PNG and not _whole_png(data):
+        return None
     before = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
@@ -238,6 +241,14 @@ def decoded(data: bytes, flags: int) -> np.ndarray | None:
         return None
     finally:
         cv2.utils.logging.setLogLevel(before)
+
+
+def _whole_png(data: bytes) -> bool:
+    """Whether all chunks of a PNG are there: OpenCV reserves what a chunk states, up to 4 GB."""
+    at = len(_PNG)
+    while at + 8 <= len(data):
+        at += 12 + int.from_bytes(data[at : at + 4], "big")
+    return at <= len(data)
 
 
 @contextmanager

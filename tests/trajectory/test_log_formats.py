@@ -117,6 +117,15 @@ def test_ulog_has_position_attitude_and_the_place_of_its_origin(tmp_path):
         assert np.allclose(path.position[0], [0.0, 0.5, 40.0])
 
 
+@pytest.mark.parametrize("left", [0, 1])
+def test_ulog_whose_last_message_is_cut_off_ends(tmp_path, left):
+    """The library would go back to its header without end."""
+    path = ulog(tmp_path / "a.ulg", {})
+    path.write_bytes(path.read_bytes() + struct.pack("<HB", 1 + left, 0) + b"x" * left)
+    with pytest.raises(ThermorenderError, match=r"cannot be read as ULog \(EOFError\); copy it again"):
+        read(path, "ulog", mount=(0, -90, 0))
+
+
 def test_ulog_without_a_valid_position_is_refused(tmp_path):
     with pytest.raises(
         ThermorenderError, match=r"a\.ulg \(vehicle_local_position\): column 'xy_valid' is 0 in all 30 sam"

@@ -120,6 +120,36 @@ def test_columns_under_other_names_are_listed_in_one_sentence(tmp_path):
         read_station(path, *PLACE)
 
 
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [("DATA PERIODS,1,inf,Data", "states inf records per hour"), ("DATA PERIODS,1,nan,Data", "states nan records per"),
+     ("DATA PERIODS,1,1.5,Data", "states 1.5 records per hour"),
+     ("COMMENTS 1,Irradiance Time Offset (h): 1..2\nDATA PERIODS,1,1,Data", r"'1\.\.2' in Irradiance Time Offset")],
+)  # fmt: skip
+def test_numbers_of_a_year_file_that_are_none_are_refused(tmp_path, line, words):
+    path = write_epw(tmp_path / "a.epw")
+    lines = path.read_text().splitlines()
+    lines = [line if each.startswith("DATA PERIODS") else each for each in lines]
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.raises(ThermorenderError, match=words):
+        read_epw(path, 2018)
+
+
+@pytest.mark.parametrize("column", ["air_c", "sw_down_w_m2"])
+def test_an_instant_before_a_record_that_begins_with_a_gap_is_refused(tmp_path, column):
+    path = station(tmp_path / "s.csv")
+    head, *rows = path.read_text().splitlines()
+    number = head.split(",").index(column)
+    for k, row in enumerate(rows[:5]):
+        cells = row.split(",")
+        cells[number] = ""
+        rows[k] = ",".join(cells)
+    path.write_text("\n".join([head, *rows]) + "\n")
+    before = np.datetime64(rows[0].split(",")[0].rstrip("Z")) - np.timedelta64(1, "D")
+    with pytest.raises(ThermorenderError, match=rf"has no row around .* because {column} is missing .*Give a time"):
+        read_station(path, *PLACE, around=before)
+
+
 def test_a_gap_of_a_year_file_far_from_the_instant_leaves_rows_out(tmp_path):
     """The same weather at the instant, and a note; within the gap the refusal names what can be done."""
     at = np.datetime64("2018-07-24T12:00")

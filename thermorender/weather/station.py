@@ -85,6 +85,11 @@ def read_station(
     if around is not None:
         ends = unbroken(time, values, column_of, step_s, longest_gap_h, around, notes)
         kept = slice(*np.searchsorted(time, [ends[0], ends[1] + np.timedelta64(1, "s")]))
+        if kept.start >= kept.stop:
+            raise ThermorenderError(
+                f"{path} has no row around {around}Z without a long gap: {' '.join(notes[-1:])} Give a time when all "
+                "columns have values"
+            )
         time, rows, values = time[kept], rows[kept], {name: series[kept] for name, series in values.items()}
     if "pressure_pa" in values:
         check_pressure(path, column_of["pressure_pa"], values["pressure_pa"], altitude_m)

@@ -68,6 +68,8 @@ _DAY_MIN = 1440
 _LAST_YEAR = 9999
 # Least number of depths of rain below 3 mm that prove tenths of a millimetre: TMY3 always comes from such gauges.
 _FEWEST_TMY3, _FEWEST_EPW = 1, 10
+# Records per hour: the divisors of 60.
+_PER_HOUR = tuple(count for count in range(1, 61) if 60 % count == 0)
 _OFFSET = re.compile(r"Irradiance Time Offset \(h\): *([-+]?[\d.]+)", re.IGNORECASE)
 _AVERAGING = re.compile(r"Averaging Method: *([\w ]+)", re.IGNORECASE)
 
@@ -148,15 +150,18 @@ def _epw(path: object, lines: Lines) -> YearFile:
     if start is None or len(lines[0]) < 10:
         raise ThermorenderError(f"{path} has no line DATA PERIODS or an unfinished LOCATION; give the whole EPW file")
     latitude, longitude, zone_h, altitude = (_number(path, "LOCATION", text) for text in lines[0][6:10])
-    per_hour = int(_number(path, "DATA PERIODS", lines[start][2])) if len(lines[start]) > 2 else 1
+    stated_per_hour = _number(path, "DATA PERIODS", lines[start][2]) if len(lines[start]) > 2 else 1.0
     rows = lines[start + 1 :]
     short = [k for k, row in enumerate(rows) if len(row) < _EPW_CELLS]
     if short:
         raise ThermorenderError(
             f"{path}, row {start + 2 + short[0]}: {len(rows[short[0]])} cells; an EPW row has 35, so give the whole row"
         )
-    if not 1 <= per_hour <= 60 or 60 % per_hour:
-        raise ThermorenderError(f"{path}: DATA PERIODS states {per_hour} records per hour; give a divisor of 60")
+    if stated_per_hour not in _PER_HOUR:
+        raise ThermorenderError(
+            f"{path}: DATA PERIODS states {stated_per_hour:g} records per hour; give a divisor of 60"
+        )
+    per_hour = int(stated_per_hour)
     labels = []
     for number, row in enumerate(rows, start=start + 2):
         # The minute is the end of the interval within the hour; 0 and 60 are the hour's.
@@ -176,7 +181,7 @@ def _epw(path: object, lines: Lines) -> YearFile:
     light = interval
     stated = next(filter(None, (_OFFSET.search(",".join(line)) for line in lines[:start])), None)
     if stated:
-        light = 60.0 * float(stated[1])
+        light = 60.0 * _number(path, "Irradiance Time Offset", stated[1])
         notes.append(f"The file states that sunlight is {stated[1]} h after its labels.")
     _add_rain(path, values, rain, hours, per_hour, len(days) >= 365, _FEWEST_EPW, "column 34", notes)
     return YearFile(_place(path, latitude, longitude, altitude), zone_h, values, days, years, 24 * per_hour, first,

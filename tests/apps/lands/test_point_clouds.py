@@ -256,6 +256,17 @@ def test_a_chunk_of_more_points_than_memory_holds_is_refused(tmp_path):
         read_cloud(path)
 
 
+@pytest.mark.parametrize("count", [60_000, 10**9])
+def test_more_points_than_all_chunks_hold_are_refused(tmp_path, count):
+    """Rasters of 10⁹ points would take 8 GB."""
+    path = written(tmp_path / "a.laz")
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<Q", data, 247, count)
+    path.write_bytes(data)
+    with pytest.raises(ThermorenderError, match="counts more records than it has bytes for"):
+        read_cloud(path)
+
+
 def test_points_too_few_for_a_surface_are_refused(tmp_path):
     path = written(tmp_path / "a.las")
     data = bytearray(path.read_bytes())

@@ -38,6 +38,10 @@ class Rectangles:
     corner: Floats  # (n, 2) (right, down) of the upper left corner in the pixel, 0…1
     size: Floats  # (n, 2) sides [px]
 
+    def of(self, chosen: NDArray[np.bool_]) -> "Rectangles":
+        """Return the Rectangles of `chosen` pixels (n,)."""
+        return Rectangles(self.pixels[chosen], self.corner[chosen], self.size[chosen])
+
     @property
     def share(self) -> Floats:
         """Area of each rectangle [pixels]."""

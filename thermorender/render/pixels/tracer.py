@@ -145,8 +145,15 @@ class Tracer:
             guide, copies = guide[:-1], touched(guide[-1] > 0.0).ravel()
         step = edge_step(ringed[:channels].sum(axis=0), *guide)
         refined = self._refine_edges(flat, step, copies, thin, (edge_limit, max(edge_limit, copies_limit)), like)
-        if thin.pixels.size:
-            refined += self._refine(flat, thin.pixels, np.zeros(len(thin.pixels)), edge_limit, thin)
+        # What is thin and behind leaves, such as trunks, shows little: few rays suffice for most.
+        behind = copies[thin.pixels]
+        for soft, limit in ((False, edge_limit), (True, max(edge_limit, copies_limit))):
+            some = thin.of(behind == soft)
+            if some.pixels.size:
+                stages = None
+                if like is not None:
+                    stages = [part.pixels for part in like.refined if part.within is not None and part.copies == soft]
+                refined += self._refine(flat, some.pixels, np.zeros(len(some.pixels)), limit, some, stages, soft)
         return image, SampledImage(met, step, refined)
 
     def _first_rays(self, search: bool) -> tuple[list[Jit], int, Hit]:
@@ -262,9 +269,13 @@ class Tracer:
             around, spread = self._outside(pixels, within)
             outside, spread = (1.0 - share) * around, (1.0 - share) * spread
         first = 0
-        # Thin details may lie between the first rays, so they get all rays at once.
-        numbers = [count for count in COPIES_STAGES if count > self._samples] if copies else STAGES
-        for last in numbers if within is None else STAGES[-1:]:
+        numbers: Sequence[int] = STAGES
+        if within is not None:
+            # Thin details may lie between few rays.
+            numbers = STAGES if copies else STAGES[-1:]
+        elif copies:
+            numbers = [count for count in COPIES_STAGES if count > self._samples]
+        for last in numbers:
             if not pixels.size:
                 break
             sums, least, most = self._rays_in(pixels, first, last, within)
@@ -281,7 +292,8 @@ class Tracer:
                     np.isin(pixels, stages[len(refined)]) if len(refined) < len(stages) else np.zeros(len(pixels), bool)
                 )
             pixels, low, high, unseen, share = (a[on] for a in (pixels, low, high, unseen, share))
-            total, outside, first = total[:, on], outside[:, on], last
+            total, outside, spread, first = total[:, on], outside[:, on], spread[on], last
+            within = None if within is None else within.of(on)
         return refined
 
     def _rays_in(

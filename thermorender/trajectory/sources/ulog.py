@@ -4,6 +4,8 @@ A gimbal's quaternion rotates its axes to north, east, down if a flag says so, e
 (MAVLink, GIMBAL_DEVICE_FLAGS).
 """
 
+import io
+
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -25,6 +27,8 @@ _MAGIC = b"ULog\x01\x12\x35"
 _EARTH = 16 | 64
 # GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME.
 _VEHICLE = 32
+# Reads beyond the end of a file after which a reader goes in circles.
+_MOST_SHORT = 100
 
 
 def read_ulog(path: str) -> list[Table]:
@@ -32,7 +36,7 @@ def read_ulog(path: str) -> list[Table]:
     check_file(path, _MAGIC, "a PX4 log in ULog")
     pyulog = library("pyulog", "a PX4 log in ULog")
     try:
-        with said_by_library(), open(path, "rb") as file:
+        with said_by_library(), _Ending(io.FileIO(path)) as file:
             log = pyulog.ULog(file, [_POSITION, _ATTITUDE, _GIMBAL])
     except Exception as error:  # the library raises whatever a damaged file leads to
         raise ThermorenderError(f"{path} cannot be read as ULog ({type(error).__name__}); copy it again") from error
@@ -63,6 +67,20 @@ def read_ulog(path: str) -> list[Table]:
         tables.append(_gimbal(path, messages[_GIMBAL], messages[_ATTITUDE]))
     first = tables[0]
     return [Table(first.path, first.columns, first.row, first.what, notes=tuple(notes)), *tables[1:]]
+
+
+class _Ending(io.BufferedReader):
+    """A file that raises EOFError for a reader that asks for more than there is again and again, as pyulog does where
+    the last message is cut off."""
+
+    _short = 0
+
+    def read(self, size: int | None = -1) -> bytes:
+        found = super().read(size)
+        self._short += size is not None and len(found) < size
+        if self._short > _MOST_SHORT:
+            raise EOFError("the last message is cut off")
+        return found
 
 
 def _table(path: str, name: str, data: dict[str, Floats]) -> Table:

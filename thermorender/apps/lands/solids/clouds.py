@@ -80,7 +80,7 @@ def _check_counts(path: Path) -> None:
     The public header block, variable length records of 54 bytes at least, extended ones of 60, and the table of chunks
     of LAZ: ASPRS, LAS Specification 1.4-R15, tables 3, 5 and 6.
     """
-    size = path.stat().st_size
+    size, points = path.stat().st_size, 0
     with open(path, "rb") as file:
         head = file.read(375)
         if len(head) < 227 or head[:4] != b"LASF":
@@ -92,10 +92,10 @@ def _check_counts(path: Path) -> None:
         if head[25] >= 4:
             begin, extended = struct.unpack_from("<QI", head, 235)
             counted.append((extended, 60, size - begin if extended else 0))
+        record, points = struct.unpack_from("<HI", head, 105)
+        if head[25] >= 4:
+            points = max(points, *struct.unpack_from("<Q", head, 247))
         if not head[104] & 0x80:
-            record, points = struct.unpack_from("<HI", head, 105)
-            if head[25] >= 4:
-                points = max(points, *struct.unpack_from("<Q", head, 247))
             counted.append((points, record, size - points_at))
         if head[104] & 0x80 and size >= points_at + 8:
             # LAZ: the point data begin with the place of the table of chunks; -1 where it is in the last bytes.
@@ -112,11 +112,12 @@ def _check_counts(path: Path) -> None:
     if any(number * least > max(room, 0) for number, least, room in counted):
         raise _short(path)
     if head[104] & 0x80:
-        _check_chunks(path, size)
+        _check_chunks(path, size, points)
 
 
-def _check_chunks(path: Path, size: int) -> None:
-    """Refuse chunks of compressed points, and layers of a chunk, for which the decoder would reserve too much memory.
+def _check_chunks(path: Path, size: int, counted: int) -> None:
+    """Refuse chunks of compressed points, and layers of a chunk, for which the decoder would reserve too much memory,
+    and fewer points in all chunks than the header `counted`.
 
     LASzip's record has the number of points of a chunk. In formats from 6 on, a chunk begins with one whole point and
     the number of points, then has a length for each layer. The record lists items (type, size, version): 10 is a point
@@ -140,13 +141,16 @@ def _check_chunks(path: Path, size: int) -> None:
         # All bits mean chunks of any number of points, which the table of chunks has.
         if points != 0xFFFFFFFF and points * record > _CHUNK_BYTES:
             raise _short(path)
+        file.seek(points_at)
+        table = lazrs.read_chunk_table(file, lazrs.LazVlr(body))
+        if counted > (points * len(table) if points != 0xFFFFFFFF else sum(number for number, _ in table)):
+            raise _short(path)
         if head[104] & 0x3F < 6:
             return
         items = [struct.unpack_from("<HH", body, 34 + 6 * k) for k in range((len(body) - 34) // 6)]
         layers = sum({10: 9, 11: 1, 12: 2, 13: 1, 14: length}.get(kind, 0) for kind, length in items)
-        file.seek(points_at)
         at = points_at + 8
-        for _, length in lazrs.read_chunk_table(file, lazrs.LazVlr(body)):
+        for _, length in table:
             file.seek(at + record + 4)
             lengths = np.frombuffer(file.read(4 * layers), "<u4")
             if at + length > size or lengths.sum(dtype=np.int64) > length:
