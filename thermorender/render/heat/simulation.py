@@ -56,7 +56,8 @@ _SHARED_LIGHT_S, _LIGHT_S, _RAYS, _REFLECTIONS = 3600.0, 1800.0, 64, 4
 # Time before the first instant in which each texel has its own sun; earlier those of a face and material share it [s].
 _OWN_S = 4 * 3600.0
 _DAY_S = 86400
-# Columns of texels simulated at a time, about 350 bytes each; twice as many where some share a column to the end.
+# Columns of texels simulated at a time, about 350 bytes each; four times as many parts where some share a column to the
+# end.
 _AT_ONCE = 1 << 22
 # Shares of the sun are alike in steps of 1/64 within the last hour, of 1/16 before.
 _FINE, _COARSE, _FINE_S = 64, 16, 3600.0
@@ -260,7 +261,7 @@ class _Simulation:
         found = np.zeros((len(self.asked), self.texels), dtype=np.float32)
         own = np.flatnonzero(self.shown)
         every = own[self.first[own] == own]
-        most = _AT_ONCE if self.deviations is not None or self.scene.spec.temperature.brightness else 2 * _AT_ONCE
+        most = _AT_ONCE if self.deviations is not None or self.scene.spec.temperature.brightness else 4 * _AT_ONCE
         before = np.cumsum(self.kinds.count[self.material[every]]) - 1
         blocks = np.split(every, np.flatnonzero(np.diff(before // most)) + 1)
         for number, texels in enumerate(blocks):
