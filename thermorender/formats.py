@@ -230,7 +230,7 @@ def decoded(data: bytes, flags: int) -> np.ndarray | None:
     import cv2
     import numpy as np
 
-    if data[:8] == _PNG and not _whole_png(data):
+    if data.startswith(_PNG) and not _whole_png(data):
         return None
     before = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)

@@ -239,12 +239,11 @@ def test_a_world_and_its_survey_are_the_same_from_above(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_study_finds_an_error_at_walls_that_is_three_times_that_on_open_ground():
+def test_the_study_finds_the_error_at_walls_and_none_on_open_ground():
     found = study.run(seeds=(7,), views=1, size_m=56.0, maps=("constant", "fok-1to1"))
     error = {(case["angle_deg"], case["kind"]): case.get("mae_k", 0.0) for case in found["cases"]}
     for angle in study.ANGLES[:3]:
-        # On open ground, shadows of crowns and their edges differ.
-        assert 3.0 * error[angle, "far ground"] < error[angle, "façade"]
+        assert error[angle, "far ground"] < 0.5 < error[angle, "façade"]
     assert set(found["ranking"]["mae_k"]) == {"constant", "fok-1to1"} and found["ranking"]["tau"]["3-D"] == 1.0
     assert len(study.rows(found)) > 12 and len(study.budget_rows(found["budget"])) == len(study.ANGLES)
     # Views of all angles, and in each the stated error exceeds the true one.

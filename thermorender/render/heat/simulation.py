@@ -4,7 +4,7 @@ surroundings.
 Every texel is a column, or one for each part of a mixture, whose emissions add up: the material on the layers beneath,
 at the texel's position on the mesh. At the end of every step a shadow ray from each column tests for the sun, whose
 share is linear in time between. Columns of one face and material are one until four hours before the first instant;
-from then on those are that also have like sun: 12 mK RMS, and a third to two thirds of the columns.
+from then on those are that also have like sun: 12 mK RMS, and a quarter to a half of the columns.
 
 Reflected sunlight and the long-wave radiation of the surroundings use the rays of the scene's light. They are one value
 per face, solved between columns at the faces' middles, every hour at first and every half hour in the last four.

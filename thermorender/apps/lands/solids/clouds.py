@@ -80,7 +80,7 @@ def _check_counts(path: Path) -> None:
     The public header block, variable length records of 54 bytes at least, extended ones of 60, and the table of chunks
     of LAZ: ASPRS, LAS Specification 1.4-R15, tables 3, 5 and 6.
     """
-    size, points = path.stat().st_size, 0
+    size = path.stat().st_size
     with open(path, "rb") as file:
         head = file.read(375)
         if len(head) < 227 or head[:4] != b"LASF":
