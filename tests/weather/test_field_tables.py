@@ -150,6 +150,17 @@ def test_an_instant_before_a_record_that_begins_with_a_gap_is_refused(tmp_path, 
         read_station(path, *PLACE, around=before)
 
 
+def test_a_column_without_a_value_in_the_rows_that_are_left_is_refused(tmp_path):
+    """The gap of ten hours parts the last row from the others, and that row has no wind."""
+    path = tmp_path / "s.csv"
+    path.write_text(
+        "time,air_c,rh_percent,wind_m_s\n2018-07-28 00:00Z,17,60,1\n2018-07-28 01:00Z,18,60,1\n"
+        "2018-07-28 02:00Z,17,60,1\n2018-07-28 12:00Z,27,60,\n"
+    )
+    with pytest.raises(ThermorenderError, match="wind_m_s has no value from 2018-07-28T12:00:00Z to .*leave the column"):
+        read_station(path, *PLACE, around=np.datetime64("2018-07-28T12:00"))
+
+
 def test_a_gap_of_a_year_file_far_from_the_instant_leaves_rows_out(tmp_path):
     """The same weather at the instant, and a note; within the gap the refusal names what can be done."""
     at = np.datetime64("2018-07-24T12:00")

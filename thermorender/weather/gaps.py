@@ -70,8 +70,8 @@ def filled(
 ) -> NDArray[np.float64]:  # fmt: skip
     """Return values (N,) with gaps (NaN) up to `longest_gap_h` interpolated; rain and snow are 0 in gaps of any length.
 
-    At least one value is a number; `notes` gets a note on the gaps. A refusal
-    has times with the suffix `zone`, and `advice` after "fill the gap".
+    `notes` gets a note on the gaps. A refusal has times with the suffix `zone`,
+    and `advice` after what to do.
     """
     hole = np.isnan(values)
     if not hole.any():
@@ -79,6 +79,10 @@ def filled(
     if quantity in ZERO_IN_GAPS:
         notes.append(f"{hole.sum()} values of {column} are missing and taken as 0.")
         return np.where(hole, 0.0, values)
+    if hole.all():
+        raise ThermorenderError(
+            f"{path}: {column} has no value from {time[0]}{zone} to {time[-1]}{zone}; give values, {advice}"
+        )
     long = long_gaps(values, time, step_s, longest_gap_h)
     if long:
         first, last = max(long, key=lambda gap: gap[1] - gap[0])

@@ -31,6 +31,9 @@ _MIRROR_M = 2.0
 _BEND_M, _WINDING_M = 30.0, 1100.0
 # Width of the verges of roads in woods [m].
 _VERGE_M = 2.5
+# How far walls of woods lean back, per height. Upright ones point to the middle: rays from there would lie in them,
+# and miss them.
+_LEAN = 0.2
 
 # A corner of a quadrilateral relative to its cell: ring and sector, 1 on top of the wood, row and column of the texel.
 _Corner = tuple[float, float, float, float, float]
@@ -203,7 +206,8 @@ class Surroundings(Painting):
         plan = np.stack([self._sides[1:, None] * axis for axis in _around(t)], axis=-1)
         edge, s = self._edge()
         raised = height + self._canopy[1:]
-        rings = [np.concatenate([plan, up[..., None]], axis=-1).reshape(-1, 3) for up in (height, raised)]
+        levels = ((plan, height), (plan + self._lean(plan), raised))
+        rings = [np.concatenate([at, up[..., None]], axis=-1).reshape(-1, 3) for at, up in levels]
         # The innermost cells join the posts of the square.
         line, ring = np.append(s, 1.0), np.append(t, 1.0)
         zipped = _zipped(line, ring, len(line))
@@ -242,6 +246,22 @@ class Surroundings(Painting):
             SURROUNDINGS, np.concatenate([edge, *rings]), np.concatenate(faces),
             np.concatenate(uv).astype(np.float32), colour, self.material,
         )  # fmt: skip
+
+    def _lean(self, plan: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Steps into the wood of the canopy's corners at `plan`, (count, sectors, 2) [m]; 0 within woods, and
+        where two woods touch.
+        """
+        inner = np.concatenate([self._sides[0] / self._sides[1] * plan[:1], plan[:-1]])
+        middle = 0.25 * sum(each + np.roll(each, -1, axis=1) for each in (inner, plan))
+        # The cells at both sides of a corner, nearer and farther; the last corners have nearer ones alone.
+        far = np.minimum(np.arange(len(plan)) + 1, len(plan) - 1)
+        nearer = ((self._wooded, middle), (np.roll(self._wooded, 1, axis=1), np.roll(middle, 1, axis=1)))
+        cells = [each for wooded, at in nearer for each in ((wooded, at), (wooded[far], at[far]))]
+        step = sum(wooded[..., None] * (at - plan) for wooded, at in cells)
+        a, b, c, d = (wooded for wooded, _ in cells)
+        step[(a == d) & (b == c)] = 0.0
+        length = np.linalg.norm(step, axis=-1, keepdims=True)
+        return _LEAN * self._canopy[1:, :, None] * step / np.maximum(length, 1e-9)
 
     def _edge(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(Posts along the edge of the square's ground (n, 3) [m], their places 0…1 along it)."""
