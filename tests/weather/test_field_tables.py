@@ -157,7 +157,9 @@ def test_a_column_without_a_value_in_the_rows_that_are_left_is_refused(tmp_path)
         "time,air_c,rh_percent,wind_m_s\n2018-07-28 00:00Z,17,60,1\n2018-07-28 01:00Z,18,60,1\n"
         "2018-07-28 02:00Z,17,60,1\n2018-07-28 12:00Z,27,60,\n"
     )
-    with pytest.raises(ThermorenderError, match="wind_m_s has no value from 2018-07-28T12:00:00Z to .*leave the column"):
+    with pytest.raises(
+        ThermorenderError, match=r"wind_m_s has no value from 2018-07-28T12:00:00Z to .*leave the column"
+    ):
         read_station(path, *PLACE, around=np.datetime64("2018-07-28T12:00"))
 
 
