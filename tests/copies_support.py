@@ -53,12 +53,21 @@ def write_crown(folder, drawn, side, most=None):
     trimesh.Trimesh(*leaves(random, middle, side), process=False).export(folder / "crown.ply")
 
 
-def apart(scene):
-    """The scene with leaves of their own in its terrain, so that its heat balance solves each."""
+def apart(scene, halvings=0):
+    """The scene with leaves of their own in its terrain, so that its heat balance solves each. `halvings` of its edges
+    cut a triangle in four each time.
+    """
     made = []
     for surface in scene.surfaces:
         if surface.instances is not None:
             surface = expanded(surface)
+            for _ in range(halvings):
+                corner = surface.vertices[surface.faces]
+                half = 0.5 * (corner + np.roll(corner, -1, axis=1))
+                four = np.stack([corner, half, np.roll(half, 1, axis=1)], axis=2)
+                vertices = np.concatenate([four, half[:, None]], axis=1).reshape(-1, 3).astype(np.float32)
+                faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+                surface = replace(surface, vertices=vertices, faces=faces, uv=None)
             uv, shape = one_texel_each(len(surface.faces))
             one = {name: np.broadcast_to(getattr(surface, name)[0, 0], shape) for name in ("material", "temperature")}
             colour = np.broadcast_to(surface.colour[0, 0], (*shape, 3))
