@@ -3,7 +3,7 @@
 Each world is made once, with walls and porous crowns, and surveyed from above: surface model, orthophoto, materials and
 true temperatures of the highest surfaces. So the draped scene has no other error than its shape. Frames of both look at
 points of the world from 90 m. Kinds are those of the pixels' middles in three dimensions: façade, roof, crown, ground
-within 4 m of a façade or crown, other ground, and small things (fences, garden objects, cars).
+within 4 m of a building or crown, other ground, and small things (fences, garden objects, cars).
 
 Learned maps translate the photograph of each view, as a camera's picture would be, and are ranked by their error
 against the reference frame: with the draped scene as the world of photograph and reference, and with the other one. The
@@ -197,7 +197,7 @@ def _kinds(renderer, frame, size_m):
     roof = of(_ROOFS) | (of(("glass",)) & ~upright)
     car = truth["object"] > 0
     kind = np.full(wall.shape, KINDS.index("far ground"))
-    kind[_near(place, (wall | crown) & ~car)] = KINDS.index("near ground")
+    kind[_near(place, (wall | roof | crown) & ~car)] = KINDS.index("near ground")
     # Fences and garden objects are of wood, and low.
     small = car | (of(("wood",)) & ~upright)
     for name, mask in (("roof", roof), ("façade", wall), ("crown", crown), ("small", small)):
