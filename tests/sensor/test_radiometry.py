@@ -206,11 +206,22 @@ def test_impossible_temperatures_are_no_data_with_a_note(tmp_path):
 
     kelvin = np.random.default_rng(3).uniform(285.0, 300.0, (40, 60))
     kelvin[:, 50:] = np.linspace(3.0, 99.0, 400).reshape(40, 10)
-    kelvin[0, 0] = 2000.0
+    kelvin[0, :2] = 2000.0, np.inf
     tifffile.imwrite(tmp_path / "a.tif", kelvin.astype(np.float32))
     with pytest.warns(ThermorenderWarning, match="pixels outside 100…1500 K are taken for no data"):
         found = read_temperature(tmp_path / "a.tif", (1.0, 0.0))
-    assert np.isnan(found[:, 50:]).all() and np.isnan(found[0, 0]) and np.isfinite(found[1:, :50]).all()
+    assert np.isnan(found[:, 50:]).all() and np.isnan(found[0, :2]).all() and np.isfinite(found[1:, :50]).all()
+    # Infinity is no temperature where a wrong scale makes all others impossible, either.
+    assert not np.isinf(read_temperature(tmp_path / "a.tif", (100.0, 0.0))).any()
+
+
+def test_a_unit_that_is_no_text_is_refused(tmp_path):
+    write_tlinear(tmp_path / "a.tif", np.full((4, 4), 300.0))
+    whole = (tmp_path / "a.tif").read_bytes()
+    assert whole.count(b">K<") == 1
+    (tmp_path / "a.tif").write_bytes(whole.replace(b">K<", b">\xc3<"))
+    with pytest.raises(ThermorenderError, match="cannot be read as TIFF: 'utf-8' codec can't decode"):
+        read_temperature(tmp_path / "a.tif")
 
 
 def test_a_verb_without_scale_is_not_told_to_give_one(tmp_path):

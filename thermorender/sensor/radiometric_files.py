@@ -78,7 +78,8 @@ def read_temperature(
 
     `scale` is (kelvin per count, kelvin of count 0) of a TIFF that does not declare them; floats between 238 and 338
     are kelvin without it. `thermography` replaces the settings stored in a JPEG. Margins count as no data, as in
-    `kelvin_of_counts`, and so do values that are not above 0 K. `takes_scale` is whether the user can state a scale.
+    `kelvin_of_counts`, and so do values that are not finite and above 0 K. `takes_scale` is whether the user can state
+    a scale.
     """
     path = Path(path)
     if path.suffix.lower() in FLIR_JPEG:
@@ -115,7 +116,7 @@ def read_temperature(
         )
     step, zero = scale or declared  # type: ignore[misc]  # one of them is given
     found = kelvin_of_counts(counts, (step, zero))
-    return np.where(found > 0.0, found, np.nan)
+    return np.where((found > 0.0) & np.isfinite(found), found, np.nan)
 
 
 def orientation(path: Path) -> int:
@@ -190,7 +191,7 @@ def kelvin_of_counts(counts: NDArray[np.float64], scale: Sequence[float]) -> NDA
     low, high = _POSSIBLE_K
     # A wrong scale, by which most are impossible, is judged by who asks for the temperatures.
     if known.size and low <= np.median(known) <= high:
-        impossible = np.isfinite(found) & ((found < low) | (found > high))
+        impossible = (found < low) | (found > high)
         if impossible.any():
             warnings.warn(f"pixels outside {low:g}…{high:g} K are taken for no data", ThermorenderWarning, stacklevel=3)
             found = np.where(impossible, np.nan, found)
@@ -278,7 +279,7 @@ def read_tiff(path: Path) -> tuple[NDArray[np.float64], tuple[float, float] | No
                         f"{path} has {len(file.subdatasets)} pictures; write each to its own file, for example with "
                         f"`rio convert {file.subdatasets[0]} FIRST.tif`"
                     )
-    except rasterio.errors.RasterioError as error:
+    except (rasterio.errors.RasterioError, UnicodeDecodeError) as error:
         raise ThermorenderError(f"{path} cannot be read as TIFF: {error}; give a complete file") from None
     scale = kelvin_scale(unit)
     if scale is not None:
