@@ -150,6 +150,16 @@ def test_an_instant_before_a_record_that_begins_with_a_gap_is_refused(tmp_path, 
         read_station(path, *PLACE, around=before)
 
 
+def test_a_cell_of_a_page_is_not_quoted_whole_and_the_advice_stays(tmp_path):
+    path = tmp_path / "s.csv"
+    path.write_text("time,air_c,rh_percent\n" + 9000 * "x" + ",17,60\n2018-07-28 01:00Z,18,60\n")
+    with pytest.raises(
+        ThermorenderError, match=r"time='x+ … x+' is not a time; write it as 2018-07-28T14:30Z$"
+    ) as info:
+        read_station(path, *PLACE)
+    assert len(str(info.value)) < 2600
+
+
 def test_a_column_without_a_value_in_the_rows_that_are_left_is_refused(tmp_path):
     """The gap of ten hours parts the last row from the others, and that row has no wind."""
     path = tmp_path / "s.csv"

@@ -256,6 +256,17 @@ def test_a_chunk_of_more_points_than_memory_holds_is_refused(tmp_path):
         read_cloud(path)
 
 
+def test_compressed_points_without_a_record_of_their_chunks_are_refused(tmp_path):
+    """Before rasters are made for the number of points in the header."""
+    path = written(tmp_path / "a.laz")
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<H", data, data.index(struct.pack("<H", 22204), 227), 22205)
+    struct.pack_into("<Q", data, 247, 10**9)
+    path.write_bytes(data)
+    with pytest.raises(ThermorenderError, match="its points are compressed, but it has no LASzip record"):
+        read_cloud(path)
+
+
 @pytest.mark.parametrize("count", [60_000, 10**9])
 def test_more_points_than_all_chunks_hold_are_refused(tmp_path, count):
     """Rasters of 10⁹ points would take 8 GB."""

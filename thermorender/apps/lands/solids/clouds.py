@@ -136,7 +136,7 @@ def _check_chunks(path: Path, size: int, counted: int) -> None:
             if kind == _LASZIP:
                 break
         else:
-            return  # the library refuses it
+            raise ValueError("its points are compressed, but it has no LASzip record")
         (points,) = struct.unpack_from("<I", body.ljust(16, b"\0"), 12)
         # All bits mean chunks of any number of points, which the table of chunks has.
         if points != 0xFFFFFFFF and points * record > _CHUNK_BYTES:
@@ -171,6 +171,9 @@ def _named(path: Path) -> Iterator[None]:
         yield
     except ThermorenderError:
         raise
+    except MemoryError:
+        # A length in it is larger than the file.
+        raise _short(path) from None
     except BaseException as error:
         # A panic of the LAZ decoder, which is written in Rust, is no Exception.
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
