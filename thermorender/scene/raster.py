@@ -19,6 +19,8 @@ FORMATS = {
     ".tif": "GTiff", ".tiff": "GTiff", ".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".jp2": "JP2OpenJPEG",
     ".asc": "AAIGrid",
 }  # fmt: skip
+# Deflate writes at most 1032 bytes for one, and a byte has at most 8 pixels. Huffman codes of JPEG reach less than that.
+_PIXELS_PER_BYTE = 8 * 1032
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,8 @@ def opened(path: Path | str) -> Iterator[Any]:
                         f"{path} has {dataset.width}×{dataset.height} pixels; a raster may have up to {MOST_TEXELS}, "
                         "so cut or thin it, for example with `rio warp`"
                     )
+                if dataset.driver in ("PNG", "JPEG"):
+                    _check_size(path, dataset.width * dataset.height)
                 if len(dataset.subdatasets) > 1 or (dataset.subdatasets and dataset.count):
                     raise ThermorenderError(
                         f"{path} holds {len(dataset.subdatasets)} rasters ({_listed(dataset.subdatasets)}); copy "
@@ -103,6 +107,14 @@ def opened(path: Path | str) -> Iterator[Any]:
         raise ThermorenderError(
             f"{path} cannot be read as a raster: {reason}; give a complete file such as a GeoTIFF"
         ) from None
+
+
+def _check_size(path: Path | str, pixels: int) -> None:
+    """Refuse a picture of more pixels than its bytes can hold, before a library reserves memory for them."""
+    if pixels > _PIXELS_PER_BYTE * os.path.getsize(path):
+        raise ThermorenderError(
+            f"{path} states {pixels} pixels, for which it has too few bytes; it is damaged, so copy it again"
+        )
 
 
 def _listed(names: Sequence[str]) -> str:
