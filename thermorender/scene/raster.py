@@ -19,7 +19,7 @@ FORMATS = {
     ".tif": "GTiff", ".tiff": "GTiff", ".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".jp2": "JP2OpenJPEG",
     ".asc": "AAIGrid",
 }  # fmt: skip
-# Deflate writes at most 1032 bytes for one, and a byte has at most 8 pixels. Huffman codes of JPEG reach less than that.
+# Deflate writes at most 1032 bytes for one, and a byte has at most 8 pixels. Huffman codes of JPEG reach less.
 _PIXELS_PER_BYTE = 8 * 1032
 
 
