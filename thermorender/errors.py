@@ -14,10 +14,8 @@ class ThermorenderError(ValueError):
     """
 
     def __init__(self, message: object = "") -> None:
-        text = str(message)
-        if len(text) > _LONGEST:
-            text = f"{text[: _LONGEST - _END]} … {text[-_END:]}"
-        super().__init__("".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in text))
+        text = "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in str(message))
+        super().__init__(text if len(text) <= _LONGEST else f"{text[: _LONGEST - _END]} … {text[-_END:]}")
 
 
 class ThermorenderWarning(UserWarning):

@@ -1,6 +1,8 @@
 """Rasters as the field delivers them: what a file declares is followed, or it is refused; open ground is stated."""
 
+import struct
 import warnings
+import zlib
 
 import numpy as np
 import pytest
@@ -99,6 +101,31 @@ def test_names_that_contradict_the_colours_are_refused(tmp_path):
     path = write(tmp_path / "o.tif", rgb(), (RED, GREEN, BLUE), ("blue", "green", "red"))
     with pytest.raises(ThermorenderError, match="contradicts itself: red, green and blue are band 1, band 2, band 3"):
         read_colour(path)
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.jpg"])
+def test_more_pixels_than_the_bytes_of_a_picture_hold_are_refused_before_they_are_read(tmp_path, name):
+    """Arrays of the size that its header states would take 1 GB."""
+    from PIL import Image
+
+    Image.fromarray(np.moveaxis(rgb(), 0, -1)).save(tmp_path / name)
+    data = bytearray((tmp_path / name).read_bytes())
+    # Width and height follow the name of PNG's first chunk, and the precision of JPEG's frame, height first.
+    at, form = (data.index(b"IHDR") + 4, ">II") if name == "a.png" else (data.index(b"\xff\xc0") + 5, ">HH")
+    struct.pack_into(form, data, at, 16000, 16000)
+    if name == "a.png":
+        struct.pack_into(">I", data, at + 13, zlib.crc32(data[at - 4 : at + 13]))
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(ThermorenderError, match="states 256000000 pixels, for which it has too few bytes"):
+        read_colour(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.jpg"])
+def test_the_most_compressed_pictures_are_read(tmp_path, name):
+    from PIL import Image
+
+    Image.new("RGB", (4000, 4000), (90, 120, 60)).save(tmp_path / name, optimize=True, progressive=True)
+    assert read_colour(tmp_path / name)[0].shape == (4000, 4000, 3)
 
 
 def test_a_palette_is_followed_and_grey_refused(tmp_path):

@@ -19,7 +19,7 @@ _EDGE_SHARE, _GROWTH = 1.0 / 16.0, 0.5
 # Longest edge of a triangle of an object that no body rises before, as a share of its own extent.
 _OWN_SHARE = 1.0 / 4.0
 # The same of an object with a track: rays from its triangles alone light the scene, and fewer of them are noise there.
-_TRACKED_SHARE = 1.0 / 8.0
+TRACKED_SHARE = 1.0 / 8.0
 # Triangles that may be added to all objects together. Where the shares above would add more, the shortest edges are
 # lengthened first: small objects among many are cut less, and large ones beside them as before.
 _MOST_ON_OBJECTS = 1 << 15
@@ -53,32 +53,22 @@ class _Body:
 
 
 def refined(
-    terrain: Sequence[Surface], objects: Sequence[Surface], beside: Sequence[Surface] = ()
+    terrain: Sequence[Surface],
+    objects: Sequence[Surface],
+    beside: Sequence[Surface] = (),
+    own_share: float = _OWN_SHARE,
 ) -> tuple[list[Surface], list[Surface]]:
     """Return (terrain, objects) with the same shapes and smaller triangles: longest edges are halved conformingly.
 
     Where an object rises before a triangle, no edge is longer than 1/16 of its extent, or half of the distance from it;
-    on an object, than 1/4 of its own extent. Longer edges are allowed where the number of triangles would be too large.
-    What is only `beside` the terrain refines it and is not returned.
+    on an object, than `own_share` of its own extent. Longer edges are allowed where the number of triangles would be
+    too large. What is only `beside` the terrain refines it and is not returned.
     """
-    bodies = _bodies((*objects, *beside), _least_edge(objects))
-    return [_finer(surface, np.inf, bodies) for surface in terrain], _own(objects, _OWN_SHARE)
-
-
-def refined_tracked(surfaces: Sequence[Surface]) -> list[Surface]:
-    """Return the surfaces of an object with a track as `refined` does, with edges of at most 1/8 of its extent."""
-    return _own(surfaces, _TRACKED_SHARE)
-
-
-def _own(objects: Sequence[Surface], share: float) -> list[Surface]:
-    """Objects without edges longer than a share of their own extent and than those allowed beside each other."""
     least = _least_edge(objects)
-    bodies = _bodies(objects, least)
-    return [_finer(item, max(share * _extent(item), least), bodies) for item in objects]
-
-
-def _bodies(objects: Sequence[Surface], least: float) -> list[_Body]:
-    return [_body(item, max(_EDGE_SHARE * _extent(item), least)) for item in objects]
+    bodies = [_body(item, max(_EDGE_SHARE * _extent(item), least)) for item in (*objects, *beside)]
+    return [_finer(surface, np.inf, bodies) for surface in terrain], [
+        _finer(item, max(own_share * _extent(item), least), bodies[: len(objects)]) for item in objects
+    ]
 
 
 def evened(surface: Surface) -> Surface:

@@ -13,7 +13,7 @@ from thermorender.scene import crowns, instances
 from thermorender.scene.folder import SceneFiles
 from thermorender.scene.ground import Ground
 from thermorender.scene.raster import Grid
-from thermorender.scene.refine import evened, refined, refined_tracked
+from thermorender.scene.refine import TRACKED_SHARE, evened, refined
 from thermorender.scene.surface import Surface
 from thermorender.scene.textures import Texture, with_texel_per_face
 from thermorender.scene.tracks import TrackedObject
@@ -86,7 +86,9 @@ def shape_of(files: SceneFiles, placements: Sequence[Placement], held: Held, whe
         on_ground=files.on_ground,
         static=tuple(static),
         static_of=tuple(static_of),
-        tracked=tuple(replace(one, surfaces=tuple(refined_tracked(one.surfaces))) for one in tracked),
+        tracked=tuple(
+            replace(one, surfaces=tuple(refined((), one.surfaces, own_share=TRACKED_SHARE)[1])) for one in tracked
+        ),
         tracked_of=tuple(tracked_of),
         highest_m=highest,
         textures=files.textures,

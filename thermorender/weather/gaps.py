@@ -70,8 +70,7 @@ def filled(
 ) -> NDArray[np.float64]:  # fmt: skip
     """Return values (N,) with gaps (NaN) up to `longest_gap_h` interpolated; rain and snow are 0 in gaps of any length.
 
-    `notes` gets a note on the gaps. A refusal has times with the suffix `zone`,
-    and `advice` after what to do.
+    `notes` gets a note on the gaps. A refusal has times with the suffix `zone` and ends with `advice`.
     """
     hole = np.isnan(values)
     if not hole.any():

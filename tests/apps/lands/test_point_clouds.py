@@ -256,6 +256,17 @@ def test_a_chunk_of_more_points_than_memory_holds_is_refused(tmp_path):
         read_cloud(path)
 
 
+@pytest.mark.parametrize("length", [1, 2**40, 2**63])
+def test_extended_records_longer_than_their_file_are_refused(tmp_path, length):
+    """The library would reserve the length that a record states."""
+    path = written(tmp_path / "a.las")
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<QI", data, 235, len(data), 1)
+    path.write_bytes(data + struct.pack("<H16sHQ32s", 0, b"", 0, length, b""))
+    with pytest.raises(ThermorenderError, match="counts more records than it has bytes for"):
+        read_cloud(path)
+
+
 def test_compressed_points_without_a_record_of_their_chunks_are_refused(tmp_path):
     """Before rasters are made for the number of points in the header."""
     path = written(tmp_path / "a.laz")

@@ -72,11 +72,11 @@ def edge(n=400):
     return points, np.repeat([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]], n, axis=0)
 
 
-def upward(mesh):
-    """Upward part of the unit normals of faces."""
+def normals(mesh):
+    """Unit normals of faces."""
     corner = mesh.vertices[mesh.faces]
     across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    return across[:, 2] / np.linalg.norm(across, axis=1)
+    return across / np.linalg.norm(across, axis=1, keepdims=True)
 
 
 def test_heights_have_no_step_at_the_edge_of_the_square():
@@ -111,30 +111,28 @@ def test_the_ring_has_no_cracks():
     assert set(np.round(reach.ravel(), 3)) == {0.5 * SIZE, 1000.0}
     assert (reach == 0.5 * SIZE).all(axis=1).sum() == 4 * POSTS
     # Faces are counter-clockwise from above, and those of the walls of woods lean back by a fifth.
-    up = upward(mesh)
+    up = normals(mesh)[:, 2]
     assert up.min() > -1e-6 and ((up > 0.0) & (up < 0.3)).sum() > 100
 
 
 def test_no_wall_of_a_wood_points_to_the_middle():
     """Rays of a camera above the middle never lie in a face, which they could pass unseen."""
     mesh = around().mesh()
-    corner = mesh.vertices[mesh.faces]
-    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    normal = normals(mesh)
+    wall = normal[:, 2] < 0.3
+    middle = mesh.vertices[mesh.faces[wall]].mean(axis=1)
     for height_m in (10.0, 60.0, 120.0):
-        ahead = corner.mean(axis=1) - [0.0, 0.0, 100.0 + height_m]
+        ahead = middle - [0.0, 0.0, 100.0 + height_m]
         ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-        assert np.abs((ahead * across).sum(axis=1))[upward(mesh) < 0.3].min() > 1e-6
+        assert np.abs((ahead * normal[wall]).sum(axis=1)).min() > 1e-6
 
 
 def test_walls_of_woods_face_outwards():
     """Seen from below a wood there is nothing: its roof and walls show their backs only."""
     mesh = around().mesh()
-    corner = mesh.vertices[mesh.faces]
-    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    wall = upward(mesh) < 0.3
-    middle = corner[wall].mean(axis=1)
-    out = across[wall] / np.linalg.norm(across[wall], axis=1, keepdims=True)
+    normal = normals(mesh)
+    wall = normal[:, 2] < 0.3
+    middle, out = mesh.vertices[mesh.faces[wall]].mean(axis=1), normal[wall]
     ground = Ground([mesh])
     # Heights seen from above: the canopy is behind a wall, not in front of it.
     behind, before = (ground(*(middle + side * 0.05 * out)[:, :2].T) for side in (-1.0, 1.0))

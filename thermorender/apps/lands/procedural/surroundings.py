@@ -252,12 +252,13 @@ class Surroundings(Painting):
         where two woods touch.
         """
         inner = np.concatenate([self._sides[0] / self._sides[1] * plan[:1], plan[:-1]])
-        middle = 0.25 * sum(each + np.roll(each, -1, axis=1) for each in (inner, plan))
+        both = inner + plan
+        middle = 0.25 * (both + np.roll(both, -1, axis=1))
         # The cells at both sides of a corner, nearer and farther; the last corners have nearer ones alone.
         far = np.minimum(np.arange(len(plan)) + 1, len(plan) - 1)
         nearer = ((self._wooded, middle), (np.roll(self._wooded, 1, axis=1), np.roll(middle, 1, axis=1)))
         cells = [each for wooded, at in nearer for each in ((wooded, at), (wooded[far], at[far]))]
-        step = sum(wooded[..., None] * (at - plan) for wooded, at in cells)
+        step = np.sum([wooded[..., None] * (at - plan) for wooded, at in cells], axis=0)
         a, b, c, d = (wooded for wooded, _ in cells)
         step[(a == d) & (b == c)] = 0.0
         length = np.linalg.norm(step, axis=-1, keepdims=True)

@@ -92,6 +92,12 @@ def _check_counts(path: Path) -> None:
         if head[25] >= 4:
             begin, extended = struct.unpack_from("<QI", head, 235)
             counted.append((extended, 60, size - begin if extended else 0))
+            for _ in range(extended if extended * 60 <= size - begin else 0):
+                file.seek(begin + 20)
+                (length,) = struct.unpack("<Q", file.read(8).ljust(8, b"\xff"))
+                begin += 60 + length
+                if begin > size:
+                    raise _short(path)
         record, points = struct.unpack_from("<HI", head, 105)
         if head[25] >= 4:
             points = max(points, *struct.unpack_from("<Q", head, 247))
@@ -171,9 +177,6 @@ def _named(path: Path) -> Iterator[None]:
         yield
     except ThermorenderError:
         raise
-    except MemoryError:
-        # A length in it is larger than the file.
-        raise _short(path) from None
     except BaseException as error:
         # A panic of the LAZ decoder, which is written in Rust, is no Exception.
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
