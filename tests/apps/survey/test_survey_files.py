@@ -27,7 +27,7 @@ from thermorender.apps.survey.inverse.frames import (
 from thermorender.apps.survey.inverse.level import read_references
 from thermorender.apps.survey.inverse.pose_files import read_poses
 from thermorender.apps.survey.verbs import parse_scale
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, ThermorenderWarning
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.sensor.flir_jpeg import read_flir_jpeg
 from thermorender.sensor.radiometric_files import read_temperature
@@ -287,9 +287,13 @@ def test_times_are_those_of_the_poses_or_else_of_the_tags(scene, tmp_path, state
 def test_values_that_no_surface_has_are_left_out_and_counted(scene, tmp_path):
     kelvin = np.full((4, 5), 290.0, np.float32)
     kelvin[0, :4] = -9999.0, np.inf, np.nan, 0.0
+    kelvin[2, 2] = 800.0
     tiff(tmp_path / "a.tif", kelvin, unit="K", tiled=True, blockxsize=16, blockysize=16, BIGTIFF="YES")
-    found = survey_of(tmp_path, scene)
-    assert np.isnan(found.kelvin[0, 0, :4]).all() and (found.kelvin[0, 1:] == 290.0).all()
+    # Infinity is named where the file is read.
+    with pytest.warns(ThermorenderWarning, match="pixels outside 100…1500 K are taken for no data"):
+        found = survey_of(tmp_path, scene)
+    assert np.isnan(found.kelvin[0, 0, :4]).all() and np.isnan(found.kelvin[0, 2, 2])
+    assert (found.kelvin[0, 1:] == 290.0).sum() == 14
     # Values that are not above 0 K are no data.
     assert found.notes[0].startswith("1 pixels outside 150–700 K")
 
