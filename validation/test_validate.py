@@ -30,6 +30,7 @@ from validation.convergence.figure import pareto
 from validation.edits import study as edits
 from validation.emissivity import study as emissivity
 from validation.footage import study as sensor_statistics
+from validation.gpu import study as gpu
 from validation.growth import study as growth
 from validation.heights import study as heights
 from validation.made_scenes import terrain
@@ -268,6 +269,35 @@ def test_heights_measure_error_and_time_of_each_quality_and_the_peers(tmp_path):
     path.write_text(path.read_text().replace('"frame_ms": ', '"frame_ms": 1e9, "was": '))
     again = heights.run(tmp_path, (scene,), (30.0,))
     assert all(case["frame_ms"] == 1e9 for case in again.values() if "height_m" in case)
+
+
+@pytest.mark.slow
+def test_the_study_of_devices_counts_the_kernels_of_each_view_and_quality(tmp_path):
+    folder = write_terrain(tmp_path / "tiny", height=np.random.default_rng(1).uniform(0, 1, (32, 32)))
+    (tmp_path / "out").mkdir()
+    record = gpu.run(tmp_path / "out", ["cpu"], [folder], ("standard", "fast"), heat=False)
+    assert json.loads((tmp_path / "out/gpu.json").read_text(encoding="utf-8")) == record
+    scene = record["devices"]["cpu"]["scenes"]["tiny"]
+    assert [(each["view"], each["quality"]) for each in scene["frames"]] == [
+        (view, quality) for quality in ("standard", "fast") for view in bench.VIEWS
+    ]
+    for frame in scene["frames"]:
+        # A frame casts its first rays, reads what they hit, and refines edges.
+        assert frame["kernels"] >= 3 and frame["copies"] >= 1 and 0.0 < frame["device_ms"] < 2.0 * frame["frame_ms"]
+        assert len(frame["host_ms"]) > 3
+    starts, frames, apart, host = gpu.tables(record)
+    assert (len(starts[1]), len(frames[1]), apart[1], len(host[1])) == (1, 4, [], 8)
+    assert all(len(row) == len(header) for header, rows in (starts, frames, host) for row in rows)
+    # Images of two devices differ by what is stated in mK.
+    image = np.load(tmp_path / "out/cpu tiny nadir.npy")
+    for view in bench.VIEWS:
+        np.save(tmp_path / f"out/cuda tiny {view}.npy", image + 5.0 * scene["frames"][0]["per_mk"])
+    nadir = gpu.differences(tmp_path / "out", {"cpu": {"scenes": {"tiny": scene}}, "cuda": {}})[0]
+    assert nadir["rms_mk"] == pytest.approx(5.0, rel=1e-3) == nadir["median_mk"]
+    late = gpu.run(tmp_path / "out", ["cpu"], [folder], limit_s=0.0)
+    assert gpu.notes(late)[-1] == "cpu left out for time: tiny." and not late["devices"]["cpu"]["scenes"]
+    with pytest.raises(ThermorenderError, match=r"devices=.'tpu'.*give a scene, and one or both of cpu, cuda"):
+        gpu.run(tmp_path / "out", ["tpu"])
 
 
 @pytest.mark.parametrize("text", ["{", "[1]", '{"cases": 3}', "\0"])
