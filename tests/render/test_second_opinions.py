@@ -112,7 +112,7 @@ class Opinion:
 def traced(case, seed):
     """Return the band radiance of a Case by the path tracer, (H, W) [W m⁻² sr⁻¹]."""
     # Triangles as described, not as split for the light between surfaces.
-    with mock.patch("thermorender.scene.shape.refined", lambda terrain, objects, along=(): (terrain, objects)):
+    with mock.patch("thermorender.scene.shape.refined", lambda terrain, objects, *_, **__: (terrain, objects)):
         scene = case.scene(plain=True)
     return PathTracer(scene, **case.view).image(case.pose, case.samples, seed)
 
