@@ -52,7 +52,7 @@ def _library(precision, columns):
         return np, lambda value: np.broadcast_to(np.asarray(value, np.float64), columns), lambda state: None
     import drjit as dr
 
-    from thermorender.render.heat import simulation
+    from thermorender.render.heat.matter import evaluate
     from thermorender.render.heat.steps import Library
     from thermorender.render.variant import activate
 
@@ -63,7 +63,7 @@ def _library(precision, columns):
             return dr.opaque(mi.Float, float(value), columns)
         return mi.Float(np.ascontiguousarray(value, np.float32))
 
-    return Library, array, simulation._evaluate
+    return Library, array, evaluate
 
 
 def _each(function, value):

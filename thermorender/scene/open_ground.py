@@ -274,23 +274,24 @@ def march(
     return states
 
 
-def settled(columns: Columns, weather: Weather, at: np.datetime64, inside_k: float = INSIDE_K) -> "tuple[State, float]":
+def settled(
+    columns: Columns, weather: Weather, at: np.datetime64, inside_k: float = INSIDE_K,
+    look_back: np.timedelta64 = _LOOK_BACK, step_s: float = 2.0 * STEP_S,
+) -> "tuple[State, float]":  # fmt: skip
     """Return (State of open columns at an instant, change of surfaces and first layers over the last repeated day [K]).
 
-    The first of the two weeks before `at` is repeated until two days differ by less than 0.1 K, each from the previous
-    one's mean at depth. From there the weather is simulated to `at`.
+    The first day of the time `look_back` before `at` is repeated until two days differ by less than 0.1 K, each from
+    the previous one's mean at depth. From there the weather is simulated to `at`, in steps of at most `step_s`.
     """
     if at < weather.time[0]:
         raise ThermorenderError(f"{utc_text(at)} is before the weather, which begins at {utc_text(weather.time[0])}")
-    first = max(weather.time[0], at - _LOOK_BACK)
+    first = max(weather.time[0], at - look_back)
     day = min(first + _DAY, weather.time[-1])
     mean = float(weather.at(first + np.arange(24) * ((day - first) // 24)).air_k.mean())
-    state, change = settle(
-        columns, mean, lambda state: march(columns, weather, state, first, day, inside_k, 2.0 * STEP_S)
-    )
+    state, change = settle(columns, mean, lambda state: march(columns, weather, state, first, day, inside_k, step_s))
     if at > first:
         # The repeated day is the first one, so start it again from its final state.
-        state = march(columns, weather, state, first, at, inside_k, 2.0 * STEP_S)[-1]
+        state = march(columns, weather, state, first, at, inside_k, step_s)[-1]
     return state, change
 
 

@@ -273,8 +273,6 @@ class Renders:
         def solves(what: str, share: float) -> None:
             raise _Unknown
 
-        if not scene.temperature_state.solved:
-            return None
         try:
             return self.light.renderer.preview_for(scene, solves)
         except _Unknown:
@@ -321,7 +319,7 @@ class Renders:
         if scene.temperature_state.solved:
             return start.solved_for(scene, progress)
         settings = start.plan.sampling.settings()
-        made = Renderer(scene, **settings, seed=self.renderer.seed, progress=progress, like=start)
+        made = Renderer(scene, **settings, seed=self.renderer.seed, progress=progress, like=start, edits=True)
         _ = made.baked
         return made
 

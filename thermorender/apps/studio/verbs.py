@@ -47,7 +47,7 @@ def studio(
             files = SceneFiles(loaded)
             if pose:
                 Pose.typed(pose, loaded, "--pose")
-            renderer = Renderer(loaded, quality, device=device, progress=report)  # type: ignore[arg-type]
+            renderer = Renderer(loaded, quality, device=device, progress=report, edits=True)  # type: ignore[arg-type]
             _ = renderer.baked
         print_cache_note(renderer)
         end_on_signals(signal.default_int_handler)

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     # These import Mitsuba, which is loaded if there is a renderer.
     from thermorender.render.baked import Progress
     from thermorender.render.geometry import Geometry
+    from thermorender.render.heat.known_light import Record
 
 
 def solved_at(
@@ -19,9 +20,10 @@ def solved_at(
     times: "Sequence[np.datetime64]",
     geometry: "Geometry | None" = None,
     progress: "Progress | None" = None,
+    records: "list[Record] | None" = None,
 ) -> list[Scene]:
     """Return the scene with its temperatures solved at each of some instants, by `heat.simulation.solved`,
-    `heat.moved.moved` or `heat.relief.mapped`, as the source of its temperature state."""
+    `heat.moved.moved` or `heat.relief.mapped`, as the source of its temperature state. `records` is as of `solved`."""
     # Imported here, as other scenes do not need them.
     source = scene.temperature_state.source
     if isinstance(source, Conditional):
@@ -31,7 +33,7 @@ def solved_at(
     if not isinstance(source, Moved):
         from thermorender.render.heat.simulation import solved
 
-        return solved(scene, times, geometry, progress)
+        return solved(scene, times, geometry, progress, records=records)
     from thermorender.render.heat.moved import moved
 
     return [each.scene for each in moved(scene, times, geometry, progress)]

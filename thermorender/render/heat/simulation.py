@@ -24,14 +24,26 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
-from thermorender.physics import balance, humidity, turbulence
-from thermorender.physics.balance import ColumnProperties, Forcing, State
+from thermorender.physics import balance, humidity
+from thermorender.physics.balance import Forcing, State
 from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.physics.srgb import linear_from_bytes
 from thermorender.physics.sun import direction
 from thermorender.render.arrays import Jit, aligned
 from thermorender.render.geometry import Geometry
 from thermorender.render.heat.copies import Copies
+from thermorender.render.heat.known_light import Record, Recorder
+from thermorender.render.heat.matter import (
+    Kinds,
+    Matter,
+    Parts,
+    PartsOf,
+    evaluate,
+    forcing_of,
+    of_kinds,
+    open_columns,
+    varied,
+)
 from thermorender.render.heat.places import lit_cosine, sun_share, texel_points
 from thermorender.render.heat.steps import Library, steps_to
 from thermorender.render.light import contacts, radiosity, transport_cache
@@ -65,18 +77,17 @@ _FINE, _COARSE, _FINE_S = 64, 16, 3600.0
 _BRIGHTEST = 2.0
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. ITU-R BT.709-6, item 3.2
 _WHAT = "simulating the heat balance"
-# ((part, share), …) of each material of a scene.
-_PartsOf = Sequence[tuple[tuple[Material, float], ...]]
 
 
 def solved(
     scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None,
-    deviations: Deviations | None = None, block: int = 1,
+    deviations: Deviations | None = None, block: int = 1, records: "list[Record] | None" = None,
 ) -> list[Scene]:  # fmt: skip
     """Return the scene with the temperatures of terrain and objects that ask for it at each of some instants (UTC),
     from its heat balance. Other objects keep the temperatures of the scene file, cast shadows and radiate. `deviations`
     make a truth that differs from the material tables. Texels of one material in squares of `block` a side of a picture
-    have one temperature, of the mean deviations. `progress` is called with (what, share done)."""
+    have one temperature, of the mean deviations. `progress` is called with (what, share done). `records` is given the
+    Record of the run, for previews of edits, unless the texels are simulated in blocks."""
     asked = sorted(set(times))
     geometry = geometry or Geometry(activate(), scene.surfaces)
     report_progress = progress or (lambda what, share: None)
@@ -84,6 +95,7 @@ def solved(
     higher_m = scene.altitude_m - scene.weather.altitude_m
     parts = parts_in_weather(scene.materials, scene.weather, asked[0], higher_m)
     simulation = _Simulation(scene, parts, geometry, asked, deviations, block)
+    simulation.records = records
     kelvin = simulation.covered(simulation.run(lambda share: report_progress(_WHAT, share)))
     # Dr.Jit keeps the memory of the largest step, 1 GB on heath, which no later work needs.
     dr.flush_malloc_cache()
@@ -110,64 +122,18 @@ class _Columns:
     hidden: Any  # share of the sky lost by a leaf that differs from the mean of its patch; 0 elsewhere
     # An entry each column
     place: Any  # number of its point; None: its own
-    ground: ColumnProperties
-    absorptance: Any
-    wind_factor: Any
-    indoors: Any
-    inner_w_m2: Any  # heat from within; None: no object has any
+    matter: Matter
 
     def at_place(self, values: Jit) -> Jit:
         """Return values of the points at the columns."""
         return values if self.place is None else dr.gather(type(values), values, self.place)
 
 
-class _Parts:
-    """The parts of places' materials, a column each: `place`, `kind` and share in the `weight` of emission (P,)."""
-
-    def __init__(self, kinds: "_Kinds", material: NDArray[np.integer]) -> None:
-        count = kinds.count[material]
-        self.place = np.repeat(np.arange(len(material)), count)
-        self._start = np.cumsum(count) - count
-        part = np.arange(len(self.place)) - self._start[self.place]
-        self.kind = kinds.kind[material[self.place], part]
-        self._weight = kinds.weight[material[self.place], part] if (count > 1).any() else None
-
-    def kelvin(self, columns: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the temperatures of the places, of which the columns' emissions add up (P,) [K]."""
-        if self._weight is None:
-            return columns
-        return (np.add.reduceat(self._weight * columns.astype(np.float64) ** 4, self._start) ** 0.25).astype(np.float32)
-
-
-class _Kinds:
-    """The kinds of column that parts of materials are: each material has `count` (M,) of them, with the numbers `kind`
-    and shares in its emission at a common temperature, `weight` (M, most)."""
-
-    def __init__(
-        self, parts: _PartsOf, present: NDArray[np.integer], make: Callable[[Sequence[Material]], Any]
-    ) -> None:
-        used = [part for number in present for part, _ in parts[number]]
-        columns = make(used)
-        # Parts of several mixtures have the same column.
-        given = [values for values in columns.ground if values is not None]
-        rows = [columns.absorptance, columns.wind_factor, columns.indoors, columns.snow_m, *map(np.atleast_2d, given)]
-        _, first, number = np.unique(np.vstack(rows), axis=1, return_index=True, return_inverse=True)
-        self.columns = columns if len(first) == len(used) else make([used[index] for index in first])
-        number = np.arange(len(used)) if len(first) == len(used) else number
-        self.count = np.ones(len(parts), np.int64)
-        self.count[present] = [len(parts[each]) for each in present]
-        self.kind = np.zeros((len(parts), self.count.max()), np.int64)
-        self.weight = np.ones(self.kind.shape)
-        for material, kinds in zip(present, np.split(number, np.cumsum(self.count[present])[:-1]), strict=True):
-            emitted = np.array([share * open_ground.broadband(part) for part, share in parts[material]])
-            self.kind[material, : len(kinds)], self.weight[material, : len(kinds)] = kinds, emitted / emitted.sum()
-
-
 class _Simulation:
     """Simulations of a terrain's texels, with the faces and the light between them that all share."""
 
     def __init__(
-        self, scene: Scene, parts: _PartsOf, geometry: Geometry, asked: "list[np.datetime64]",
+        self, scene: Scene, parts: PartsOf, geometry: Geometry, asked: "list[np.datetime64]",
         deviations: Deviations | None, block: int,
     ) -> None:  # fmt: skip
         self.scene, self.parts, self.geometry, self.mi, self.asked = scene, parts, geometry, geometry.mi, asked
@@ -175,6 +141,7 @@ class _Simulation:
         self.weather, self.inside_k = scene.weather, scene.spec.weather.inside_c + ZERO_CELSIUS_K
         # Terrain, followed by the objects whose temperatures are solved, copies of bodies last.
         terrain, ground = scene.surfaces[: scene.solved_count], scene.terrain_count
+        self.records: list[Record] | None = None
         self.faces = int(geometry.face_start[scene.solved_count])
         self.texels = int(geometry.texel_start[scene.solved_count])
         self.material = np.concatenate([surface.material.ravel() for surface in terrain])
@@ -205,13 +172,11 @@ class _Simulation:
             both = _both_sides(geometry)
             self.operator, self.sky, self.background = both @ self.operator, both @ self.sky, both @ self.background
         self.reflectance, self.emissivity = self._of_faces()
-        snow = float(self.weather.at(asked[0]).snow_m)
         present = np.unique(np.concatenate([self.material, self.face_material[: self.faces]]))
-        make = lambda of: open_ground.columns(of, self.weather, snow, open_ground.STATION_ROUGHNESS_M)  # noqa: E731
-        self.kinds = _Kinds(parts, present, make)
+        self.kinds = Kinds(parts, present, open_columns(self.weather, asked[0]))
         # `settled_k` is the change of the ground over the last day of settling [K].
         self.state, self.settled_k = open_ground.settled(self.kinds.columns, self.weather, self.start, self.inside_k)
-        self.of_faces = _Parts(self.kinds, self.face_material[self.alone])
+        self.of_faces = Parts(self.kinds, self.face_material[self.alone])
         solid = sum(surface.instances is None for surface in terrain)
         self.bodies = range(*(int(geometry.face_start[number]) for number in (ground, solid)))
         self.solid_faces = int(geometry.face_start[solid])
@@ -264,6 +229,8 @@ class _Simulation:
         most = _AT_ONCE if self.deviations is not None or self.scene.spec.temperature.brightness else 4 * _AT_ONCE
         before = np.cumsum(self.kinds.count[self.material[every]]) - 1
         blocks = np.split(every, np.flatnonzero(np.diff(before // most)) + 1)
+        # Previews are for scenes that are edited while someone waits.
+        self.records = self.records if len(blocks) == 1 else None
         for number, texels in enumerate(blocks):
 
             def report(share: float, n: int = number) -> None:
@@ -347,15 +314,6 @@ class _Simulation:
         if self.copies is not None:
             hidden[count:] = self.copies.hidden(face[count:])
         place = np.concatenate([self.of_faces.place, count + place])
-        alike = self.kinds.columns
-        kind = mi.UInt32(aligned(np.concatenate([self.of_faces.kind, kinds]), np.uint32))
-        row = lambda values: dr.gather(mi.Float, mi.Float(aligned(values)), kind)  # noqa: E731
-        rows = lambda values: [row(each) for each in values]  # noqa: E731
-        properties: dict[str, Any] = {
-            name: rows(values) if isinstance(values, list) else None if values is None else row(values)
-            for name, values in alike.ground._asdict().items()
-        }
-        ground = ColumnProperties(**properties)
         # A face that no texel shares has the deviations of the texel at its middle.
         column = np.concatenate([self.face_texel[self.alone], own])[place]
         deviations = [] if self.deviations is None else [each[column] for each in self.deviations[1:]]
@@ -365,21 +323,15 @@ class _Simulation:
             for own, each in zip((reflects, *deviations), (self.reflects, *self.deviations[1:]), strict=True):
                 total = np.bincount(sharing[1], each[sharing[0]], len(column))
                 np.copyto(own, total / number, where=total > 0.0, casting="same_kind")
+        kind = np.concatenate([self.of_faces.kind, kinds])
+        inner = None if self.inner_w_m2 is None else self.inner_w_m2[face[place]]
+        matter, state = of_kinds(mi, self.kinds.columns, self.state, kind, reflects, inner)
         if deviations:
-            ground = _varied(ground, *(mi.Float(aligned(each)) for each in deviations))
-        reflected = row(1.0 - alike.absorptance) * mi.Float(aligned(reflects))
-        begin = self.state
-        liquid = None if begin.liquid is None else rows(begin.liquid)
-        state = State(row(begin.surface_k), rows(begin.layers_k), row(begin.film), liquid)
-        absorptance = dr.clip(1.0 - reflected, 0.02, 0.98)
+            matter = matter._replace(ground=varied(matter.ground, *(mi.Float(aligned(each)) for each in deviations)))
         cooler = -humidity.LAPSE_K_M * (point[:, 2] + np.float32(self.scene.altitude_m - self.weather.altitude_m))
-        _evaluate(state)
-        dr.eval(absorptance)
-        inner = None if self.inner_w_m2 is None else mi.Float(aligned(self.inner_w_m2[face[place]]))
         at = None if len(place) == len(face) else mi.UInt32(aligned(place, np.uint32))
         return _Columns(
-            *self._uploaded(point, face), mi.Float(aligned(cooler)), mi.Float(aligned(hidden)), at, ground, absorptance,
-            row(alike.wind_factor), row(alike.indoors) > 0.5, inner,
+            *self._uploaded(point, face), mi.Float(aligned(cooler)), mi.Float(aligned(hidden)), at, matter
         ), state  # fmt: skip
 
     def _points(self, texels: NDArray[np.integer]) -> tuple[NDArray[np.integer], NDArray[np.float32]]:
@@ -405,7 +357,7 @@ class _Simulation:
         """Yield surface temperatures of all faces that have columns and of some texels, float32 [K], at each instant
         requested. Texels of a face share the columns of their materials' parts until four hours before the first
         instant; from then on only those that also have like sun, and with deviations none."""
-        mi, parts = self.mi, _Parts(self.kinds, self.material[texels])
+        mi, parts = self.mi, Parts(self.kinds, self.material[texels])
         light: _Light | None = None
         sun = _SunShares(self)
         self.arrives: Any = None
@@ -417,15 +369,19 @@ class _Simulation:
         own: NDArray[np.integer]
         later: NDArray[np.integer]
         own = faces + np.arange(len(of))
+        records = self.records
+        recorder = None if records is None or not steps else Recorder(self, texels, parts, steps)
         shared = bool(first_s) and not self.scene.spec.temperature.brightness
         if shared:
             some, own = self._shared(of, parts.kind)
             columns, state = self._columns(of[some], parts.kind[some], (of, own))
         else:
             columns, state = self._columns(of, parts.kind)
+        if recorder is not None:
+            recorder.columns_are(own)
 
         def found() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-            kelvin = np.array(balance.seen_k(state, columns.ground))
+            kelvin = np.array(balance.seen_k(state, columns.matter.ground))
             return self.of_faces.kelvin(kelvin[:faces]), parts.kelvin(kelvin[own])
 
         if not first_s:
@@ -442,19 +398,25 @@ class _Simulation:
                 liquid, remainder_k = (each and own_of(each) for each in (state.liquid, state.remainder_k))
                 state = State(surface_k, own_of(state.layers_k), film, liquid, remainder_k)
                 columns, _ = self._columns(of[some], parts.kind[some])
-                _evaluate(state)
+                evaluate(state)
                 own, shared, sun, light = later, False, _SunShares(self), None
+                if recorder is not None:
+                    recorder.columns_are(own, index)
             sun.step(columns, at, seconds, shared)
             if light is None or at >= light.until:
                 every_s = max(_SHARED_LIGHT_S if shared else _LIGHT_S, seconds)
-                kelvin = np.array(balance.seen_k(state, columns.ground))[:faces]
+                kelvin = np.array(balance.seen_k(state, columns.matter.ground))[:faces]
                 light = self._light(at, seconds, every_s, self.of_faces.kelvin(kelvin), columns, sun)
             first, second = (self._forcing(at + offset, light, columns, sun) for offset in balance.stage_times(seconds))
-            state, _ = balance.step(Library, state, columns.ground, first, second, dr.opaque(mi.Float, seconds))
-            _evaluate(state)
+            if recorder is not None:
+                recorder.take((first, second), seconds)
+            state, _ = balance.step(Library, state, columns.matter.ground, first, second, dr.opaque(mi.Float, seconds))
+            evaluate(state)
             progress((number + 1) / len(steps))
             if self.start + np.timedelta64(round(at + seconds), "s") in self.asked:
                 yield found()
+        if recorder is not None and records is not None:
+            records.append(recorder.record(columns, np.array(balance.seen_k(state, columns.matter.ground))))
 
     def _shared(
         self, texels: NDArray[np.integer], kinds: NDArray[np.integer]
@@ -473,7 +435,7 @@ class _Simulation:
         return np.flatnonzero(own)[some], column
 
     def _in_like_sun(
-        self, texels: NDArray[np.integer], parts: _Parts, times_s: Sequence[float], fine_from_s: float
+        self, texels: NDArray[np.integer], parts: Parts, times_s: Sequence[float], fine_from_s: float
     ) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
         """(index of the `parts` of texels that need a column, number of the column of each part): those of one kind
         share it on a face where their sun is alike at all these times."""
@@ -527,22 +489,7 @@ class _Simulation:
         if columns.place is not None:
             dr.eval(sunlight, longwave, air)
         sunlight, longwave, air = at_place(sunlight), at_place(longwave), at_place(air)
-        # Relative humidity is constant with height; pressure follows the lapse of the standard atmosphere.
-        saturation, below = (turbulence.saturation_vapour(Library, each)[0] for each in (air, one(found.air_k)))
-        thinner = dr.exp(humidity.PRESSURE_EXPONENT * dr.log(air / one(found.air_k)))
-        return Forcing(
-            absorbed=columns.absorptance * sunlight,
-            longwave=longwave,
-            # Stomata open in the light on their own leaves.
-            sunlight=sunlight,
-            air_k=air,
-            vapour_pa=one(found.vapour_pa) * (saturation / below),
-            wind_m_s=one(found.wind_m_s) * columns.wind_factor,
-            pressure_pa=one(found.pressure_pa) * thinner,
-            rain_kg_m2_s=one(found.rain_mm_h / 3600.0),
-            below_k=dr.select(columns.indoors, one(self.inside_k), air),
-            inner_w_m2=columns.inner_w_m2,
-        )
+        return forcing_of(found, self.inside_k, columns.matter, sunlight, longwave, air)
 
     def _light(
         self, at_s: float, seconds: float, every_s: float, seen_k: NDArray[np.float32], columns: _Columns,
@@ -709,18 +656,3 @@ def _both_sides(geometry: Geometry) -> Any:
     rows = np.concatenate([index, index])
     half = np.full(len(rows), 0.5, np.float32)
     return csr_array((half, (rows, np.concatenate([index, other]))), (len(index), len(index)))
-
-
-def _varied(ground: ColumnProperties, wetness: Jit, exchange: Jit, inertia: Jit) -> ColumnProperties:
-    """ColumnProperties with wetness, turbulent exchange and thermal inertia multiplied by these factors."""
-    return ground._replace(
-        wetness=dr.minimum(ground.wetness * wetness, 1.0),
-        log_heat=ground.log_heat / exchange,
-        capacity=[each * inertia for each in ground.capacity],
-        conductance=[each * inertia for each in ground.conductance],
-    )
-
-
-def _evaluate(state: State) -> None:
-    """Compute a State in one kernel; dr.eval would use one kernel per entry of a named tuple."""
-    dr.eval(state.surface_k, *state.layers_k, state.film, *(state.liquid or ()), *(state.remainder_k or ()))

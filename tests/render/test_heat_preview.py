@@ -1,0 +1,114 @@
+"""Temperatures after an edit, to first order: their error is what they state, against the solution of the edit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support import slow
+
+import thermorender as tr
+from scenes import WEATHER, write_balance
+from thermorender.materials.library import load_library
+from thermorender.materials.mixture import mix
+from thermorender.render.heat import simulation as heat
+from thermorender.scene.load import load_scene
+
+
+@pytest.fixture(scope="module")
+def yard(tmp_path_factory):
+    """Grass, sand, asphalt and a mixture of grass and sand in squares, with a wall 6 m high across all of them."""
+    height = np.zeros((32, 32))
+    height[14:16] = 6.0
+    folder = write_balance(tmp_path_factory.mktemp("yard") / "scene", WEATHER, height=height)
+    scene, library = load_scene(folder), load_library()
+    grass, sand, road = (library[name] for name in ("grass_green", "sand_quartz", "asphalt"))
+    number = np.repeat(np.repeat(np.array([[0, 1], [2, 3]], np.int16), 32, axis=0), 32, axis=1)
+    surface = replace(scene.surfaces[0], material=number)
+    materials = grass, sand, road, mix([(grass, 0.5), (sand, 0.5)])
+    return scene.with_surfaces((surface,), materials).with_temperature("balance")
+
+
+@pytest.fixture(scope="module")
+def renderer(yard):
+    made = tr.Renderer(yard, rays=16, quality="fast", edits=True)
+    assert len(made._heat.record.light) == len(made._heat.known_light.steps) > 80
+    return made
+
+
+def kelvin(scene):
+    return np.concatenate([surface.temperature.ravel() for surface in scene.surfaces[: scene.solved_count]])
+
+
+def with_materials(scene, **changed):
+    """The scene with other materials in place of some, by their number as a name: _2 is asphalt."""
+    own = [changed.get(f"_{number}", material) for number, material in enumerate(scene.materials)]
+    return scene.with_surfaces(scene.surfaces, own).with_temperature("balance")
+
+
+def asphalt(scene, **changed):
+    return with_materials(scene, _2=replace(scene.materials[2], name="asphalt_2", **changed))
+
+
+EDITS = {
+    "dark asphalt becomes light": lambda scene: asphalt(scene, solar_absorptance=0.4),
+    "asphalt emits half": lambda scene: asphalt(scene, emissivity=0.5 * scene.materials[2].emissivity),
+    "asphalt becomes concrete": lambda scene: with_materials(scene, _2=load_library()["concrete"]),
+    "a thinner layer": lambda scene: asphalt(scene, thermal=replace(scene.materials[2].thermal, thickness_m=0.02)),
+    "a mixture becomes one of its parts": lambda scene: with_materials(scene, _3=scene.materials[1]),
+    "wind": lambda scene: scene.with_weather(wind_m_s=6.0),
+}
+
+
+def test_an_edit_that_changes_nothing_moves_no_temperature(renderer):
+    found = renderer._heat.preview(asphalt(renderer.scene))
+    # Columns before and after are solved side by side, by the same operations.
+    np.testing.assert_array_equal(kelvin(found.scene), kelvin(renderer.scene))
+    assert found.rms_k == found.most_k == 0.0
+
+
+@pytest.mark.parametrize("name", [*list(EDITS)[:1], *slow(*list(EDITS)[1:])])
+def test_previewed_temperatures_err_less_than_is_stated_and_a_fiftieth_of_the_change(renderer, name):
+    scene = EDITS[name](renderer.scene)
+    found, (exact,) = renderer._heat.preview(scene), heat.solved(scene, [scene.time])
+    error, change = kelvin(found.scene) - kelvin(exact), kelvin(exact) - kelvin(renderer.scene)
+    rms = np.sqrt((error**2).mean())
+    assert rms < found.rms_k and np.abs(error).max() < found.most_k
+    # Without the change of the light it is a fortieth to a twentieth.
+    assert rms < 0.02 * np.sqrt((change**2).mean()) and found.rms_k < 0.3
+
+
+def turned(scene):
+    surface = replace(scene.surfaces[0], material=scene.surfaces[0].material[::-1])
+    return scene.with_surfaces((surface,), scene.materials).with_temperature("balance")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda scene: scene.with_weather(cloud=0.9),
+        lambda scene: scene.at(scene.time - np.timedelta64(1, "h")),
+        lambda scene: scene.with_weather(inside_c=5.0),
+        turned,
+    ],
+)
+def test_edits_of_the_sun_the_hour_and_the_places_of_materials_need_a_run(renderer, change):
+    assert renderer._heat.preview(change(renderer.scene)) is None
+
+
+def test_a_frame_of_a_preview_states_an_error_above_its_own_and_a_renderer_without_it_solves(yard, renderer):
+    scene = EDITS["dark asphalt becomes light"](renderer.scene)
+    made, exact = renderer.preview_for(scene), tr.Renderer(scene, rays=16, quality="fast", like=renderer)
+    assert not set(exact.baked.errors_mk) & {"preview", "preview_rms"}
+    pose = yard.pose(0.0, 0.0, 40.0, pitch_deg=-90.0)
+    frame = made.frame(pose)
+    per_mk = made.plan.radiance_per_mk
+    error = (frame.radiance - exact.radiance(pose)) / per_mk
+    change = (exact.radiance(pose) - renderer.radiance(pose)) / per_mk
+    rms = np.sqrt((error**2).mean())
+    assert rms < 0.05 * np.sqrt((change**2).mean()) and rms < made.baked.errors_mk["preview_rms"]
+    assert made.baked.errors_mk["preview"] > made.baked.errors_mk["preview_rms"] > 0.0
+    assert frame.budget_mk["preview"] == made.baked.errors_mk["preview_rms"]
+    # The next edit begins from the same run.
+    assert "preview" in made.preview_for(EDITS["wind"](renderer.scene)).baked.errors_mk
+    windy = EDITS["wind"](renderer.scene)
+    np.testing.assert_array_equal(kelvin(exact.preview_for(windy).scene), kelvin(heat.solved(windy, [windy.time])[0]))

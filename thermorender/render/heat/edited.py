@@ -1,0 +1,295 @@
+"""Temperatures after an edit of materials or of the air, to first order: drawn texels are solved again, others follow.
+
+The drawn texels get the light of the run before the edit and its change: that which the faces of each material send,
+by the mean of the drawn ones, in shares of the light's own rays. The change of their temperatures is fitted, material
+by material, by a quadratic function of what every column knows of its light. Each drawn texel's residual, as if it had
+not taken part in the fit, gives the error.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.physics import balance
+from thermorender.physics.balance import State
+from thermorender.physics.planck import STEFAN_BOLTZMANN
+from thermorender.render.arrays import aligned
+from thermorender.render.heat.known_light import SUNLIGHT, Record
+from thermorender.render.heat.matter import Kinds, Matter, Parts, evaluate, forcing_of, of_kinds, open_columns
+from thermorender.render.heat.steps import Library
+from thermorender.scene import open_ground
+from thermorender.scene.scene import Scene
+from thermorender.scene.surface import fill, nearest_valid
+from thermorender.scene.temperature_state import Balance
+from thermorender.scene.weathered_ground import parts_in_weather
+from thermorender.weather.series import Conditions, Weather
+
+Floats = NDArray[np.float64]
+
+# Weight of the squares of a fit's coefficients, against the residuals of so many texels.
+_RIDGE = 0.01
+# Change of the light below which a texel of a material that was not edited keeps its temperature [W m⁻²].
+_LEAST_W_M2 = 0.05
+# The change of the light is summed with weights that fall by 1/e in this time [s].
+_PAST_S = 2 * 3600.0
+# Open columns settle in this time before the start [s], in steps of this length: it is their change that counts.
+_SETTLES_S, _SETTLE_STEP_S = 3 * 86400, 7200.0
+# What an edit may change that is not light on the ground.
+_MAY_CHANGE = {"materials", "surfaces", "temperature_state", "spec_weather", "noted_weather"}
+# Share of the change by the light that counts as its error; factors on the error of drawn texels for that of all of
+# them, and for the largest. In the village and on the heath they lie above the true ones.
+_OF_LIGHT, _SURE, _BEYOND = 0.5, 1.5, 3.0
+# Columns at a time where a fit is evaluated.
+_AT_ONCE = 1 << 16
+
+
+@dataclass(frozen=True, eq=False)
+class HeatPreview:
+    """A scene with temperatures to first order, and their estimated errors: over all texels, and of one [K]."""
+
+    scene: Scene
+    rms_k: float
+    most_k: float
+
+
+@dataclass(eq=False)
+class SolvedHeat:
+    """A scene with the temperatures of a run that was recorded, from which edits are previewed."""
+
+    scene: Scene
+    record: Record
+    # Texels that take the temperatures of others since no face shows them, of each surface
+    nearest: list[NDArray[np.intp] | None] | None = None
+
+    def preview(self, scene: Scene) -> HeatPreview | None:
+        """Return the HeatPreview of an edit of this scene; None where the edit needs a run."""
+        before, record = self.scene, self.record
+        if not _comparable(before, scene, record):
+            return None
+        assert scene.time is not None
+        parts = parts_in_weather(
+            scene.materials, scene.weather, scene.time, scene.altitude_m - scene.weather.altitude_m
+        )
+        materials, count = np.unique(record.material), len(parts)
+        make = open_columns(scene.weather, scene.time)
+        kinds = Kinds([*record.parts, *parts], np.concatenate([materials, count + materials]), make)
+        same_air = all(map(np.array_equal, _series(before.weather), _series(scene.weather)))
+        change, by_light, received = _changes(
+            record, before.weather, before.weather if same_air else scene.weather, kinds
+        )
+        solved = before.surfaces[: before.solved_count]
+        material, found = (
+            np.concatenate([getattr(surface, name).ravel() for surface in solved])
+            for name in ("material", "temperature")
+        )
+        square, most, moved = 0.0, 0.0, np.zeros(len(record.known), np.float32)
+        for number in materials:
+            drawn = record.material == number
+            fit = Fit(np.column_stack([record.own, received[record.face]])[drawn].astype(float), change[drawn])
+            texel = np.flatnonzero((material == number) & (record.column >= 0))
+            column = np.flatnonzero(np.bincount(record.column[texel]))
+            light = received[record.faces[column]]
+            if same_air and _same(kinds, number, count + number):
+                some = np.abs(light).max(axis=1) > _LEAST_W_M2
+                column, light = column[some], light[some]
+            moved[:] = 0.0
+            for part in np.array_split(np.arange(len(column)), len(column) // _AT_ONCE + 1):
+                moved[column[part]] = fit(np.column_stack([record.known[column[part]], light[part]]))
+            found[texel] += moved[record.column[texel]]
+            error = _SURE * np.hypot(fit.residual, _OF_LIGHT * by_light[drawn])
+            square += len(texel) * float((error**2).mean())
+            most = max(most, _BEYOND * float(error.max()))
+        made = scene.with_solved_temperatures(
+            scene.time, self._covered(found), scatter_k=[one.scatter_k for one in solved if one.scatter_k is not None]
+        )
+        return HeatPreview(made, float(np.sqrt(square / max((record.column >= 0).sum(), 1))), most)
+
+    def _covered(self, kelvin: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+        """Temperatures of the surfaces; texels without a face, which only blend, take the nearest's."""
+        solved = self.scene.surfaces[: self.scene.solved_count]
+        ends = np.cumsum([surface.material.size for surface in solved])[:-1]
+        shape = [surface.material.shape for surface in solved]
+        if self.nearest is None:
+            valid = [part.reshape(of) >= 0 for part, of in zip(np.split(self.record.column, ends), shape, strict=True)]
+            self.nearest = [None if part.all() else nearest_valid(part) for part in valid]
+        parts = [part.reshape(of) for part, of in zip(np.split(kelvin, ends), shape, strict=True)]
+        return [part if of is None else fill(part, of) for part, of in zip(parts, self.nearest, strict=True)]
+
+
+def _comparable(before: Scene, scene: Scene, record: Record) -> bool:
+    """Whether scenes differ in materials, or in weather with the same sun and snow, and in nothing else."""
+    if not scene.changes(before) <= _MAY_CHANGE or scene.time != before.time:
+        return False
+    if not isinstance(scene.temperature_state.source, Balance) or len(scene.materials) != len(before.materials):
+        return False
+    for one, other in zip(before.surfaces, scene.surfaces, strict=True):
+        if one.inner_w_m2 != other.inner_w_m2 or not np.array_equal(one.material, other.material):
+            return False
+    solved = slice(before.solved_count, None)
+    held = zip(before.surfaces[solved], scene.surfaces[solved], strict=True)
+    if before.solved_count != scene.solved_count or not all(
+        np.array_equal(a.temperature, b.temperature) for a, b in held
+    ):
+        return False
+    old, new = before.weather, scene.weather
+    if new is old:
+        return True
+    assert before.spec.weather is not None and scene.spec.weather is not None
+    times = record.start + np.array([round(1000.0 * at) for at, _ in record.steps]).astype("timedelta64[ms]")
+    if before.spec.weather.inside_c != scene.spec.weather.inside_c or old.altitude_m != new.altitude_m:
+        return False
+    if new.time[0] > record.start or new.time[-1] < before.time:
+        return False
+    sun = np.array_equal(old.sun(times), new.sun(times))
+    return sun and all(
+        np.array_equal(getattr(old.at(times), name), getattr(new.at(times), name))
+        for name in ("direct_w_m2", "diffuse_w_m2", "snow_m")
+    )
+
+
+def _series(weather: Weather) -> list[NDArray[Any]]:
+    """The instants of a weather, and its quantities there."""
+    return [weather.time, *weather.at(weather.time)]
+
+
+def _same(kinds: Kinds, one: int, other: int) -> bool:
+    """Whether two materials have the same columns."""
+    return bool(
+        kinds.count[one] == kinds.count[other]
+        and (kinds.kind[one] == kinds.kind[other]).all()
+        and np.allclose(kinds.weight[one], kinds.weight[other], rtol=1e-12, atol=0.0)
+    )
+
+
+def _changes(record: Record, old: Weather, new: Weather, kinds: Kinds) -> tuple[Floats, Floats, NDArray[np.float32]]:
+    """(change of the temperatures of drawn texels (D,) [K], part of it by the change of the light (D,) [K], change of
+    the light on faces in the last hours, of the sun's and long-wave (F, 2) [W m⁻²])."""
+    mi, count, drawn = record.mi, len(record.parts), len(record.material)
+    # Every drawn texel before the edit, after it in the light before, and after it.
+    material = np.concatenate([record.material, count + record.material, count + record.material])
+    parts = Parts(kinds, material)
+    turn, of = np.divmod(parts.place, drawn)
+    at, after = mi.UInt32(aligned(of, np.uint32)), mi.Bool(turn > 0)
+    lit = mi.Float(aligned((turn == 2).astype(np.float32)))
+    sky, cooler, inner, reflects = (each[of] for each in record.own.T[-4:])
+    sky, cooler = mi.Float(aligned(sky)), mi.Float(aligned(cooler))
+
+    def begun(weather: Weather) -> tuple[Matter, State]:
+        look_back = np.timedelta64(_SETTLES_S, "s")
+        begin, _ = open_ground.settled(kinds.columns, weather, record.start, record.inside_k, look_back, _SETTLE_STEP_S)
+        return of_kinds(mi, kinds.columns, begin, parts.kind, reflects, inner if inner.any() else None)
+
+    matter, state = begun(old)
+    if new is not old:
+        state = _where(after, begun(new)[1], state)
+    sending = _Sending(record, of, turn, parts)
+    more = np.zeros((2, drawn), np.float32)
+    past: Any = 0.0
+    for (begin_s, seconds), light in zip(record.steps, record.light, strict=True):
+        forcings = []
+        change = [mi.Float(aligned(each)) for each in more]
+        for offset, given in zip(balance.stage_times(seconds), light, strict=True):
+            instant = record.start + np.timedelta64(round(1000.0 * (begin_s + offset)), "ms")
+            found: Any = [dr.opaque(mi.Float, float(each)) for each in old.at(instant)]
+            if new is not old:
+                later = [dr.opaque(mi.Float, float(each)) for each in new.at(instant)]
+                found = [dr.select(after, b, a) for a, b in zip(found, later, strict=True)]
+            found = Conditions(*found)
+            sunlight, longwave = (
+                dr.gather(mi.Float, known, at) + lit * dr.gather(mi.Float, plus, at)
+                for known, plus in zip(given, change, strict=True)
+            )
+            longwave += sky * (found.longwave_w_m2 - dr.opaque(mi.Float, float(old.at(instant).longwave_w_m2)))
+            air = found.air_k + cooler
+            forcings.append(forcing_of(found, record.inside_k, matter, dr.maximum(sunlight, 0.0), longwave, air))
+        state, _ = balance.step(Library, state, matter.ground, forcings[0], forcings[1], dr.opaque(mi.Float, seconds))
+        evaluate(state)
+        sent = sending.change(matter, forcings[1], balance.seen_k(state, matter.ground))
+        more = sending.received(sent)
+        past = sent + np.exp(-seconds / _PAST_S) * (past - sent)
+    kelvin = parts.kelvin(np.array(balance.seen_k(state, matter.ground))).astype(float).reshape(3, drawn)
+    return kelvin[2] - kelvin[0], kelvin[2] - kelvin[1], sending.on_faces(past)
+
+
+class _Sending:
+    """How much more each material's faces send: a linear function of the sun on them over the last hours."""
+
+    def __init__(self, record: Record, of: NDArray[np.integer], turn: NDArray[np.integer], parts: Parts) -> None:
+        self._record, self._of, self._count = record, record.material[of], (count := len(record.parts))
+        self._share = np.array([-1.0, 0.0, 1.0])[turn] * parts.share()
+        sun = record.own[:, SUNLIGHT].astype(float)
+        self._number = number = np.maximum(np.bincount(record.material, minlength=count), 1)
+        total, square = (np.bincount(record.material, each, count) for each in (sun, sun**2))
+        self._mean = total / number
+        self._spread = np.maximum(square / number - self._mean**2, 1.0)
+        self._lean = sun[of] - self._mean[self._of]
+        one_hot = np.zeros((len(record.face_material), 2 * count), np.float32)
+        faces = np.arange(len(record.face_column))
+        kind = record.face_material[faces]
+        one_hot[faces, kind] = 1.0
+        one_hot[faces, count + kind] = record.known[record.face_column, SUNLIGHT] - self._mean[kind]
+        self._one_hot = one_hot
+        self._shares = np.asarray(record.operator[record.face] @ one_hot)
+
+    def change(self, matter: Matter, forcing: Any, seen_k: Any) -> Floats:
+        """Return the change of what materials send in sunlight and long-wave (2, 2 M): mean and slope over sunlight."""
+        emits = matter.ground.emissivity * (STEFAN_BOLTZMANN * dr.square(dr.square(seen_k)) - forcing.longwave)
+        leaves = [(1.0 - matter.absorptance) * forcing.sunlight, emits + forcing.longwave]
+        dr.eval(leaves)
+        found = []
+        for each in leaves:
+            values = self._share * np.array(each)
+            mean = np.bincount(self._of, values, self._count) / self._number
+            slope = np.bincount(self._of, values * self._lean, self._count) / self._number / self._spread
+            found.append(np.concatenate([mean, slope]))
+        return np.array(found)
+
+    def received(self, sent: Floats) -> NDArray[np.float32]:
+        """Return how much more the drawn texels receive, in sunlight and long-wave (2, D) [W m⁻²]."""
+        return np.float32(sent) @ self._shares.T
+
+    def on_faces(self, sent: Floats) -> NDArray[np.float32]:
+        """Return how much more every face receives, in sunlight and long-wave (F, 2) [W m⁻²]."""
+        return np.asarray(self._record.operator @ (self._one_hot @ np.float32(sent).T))
+
+
+def _where(mask: Any, one: State, other: State) -> State:
+    """The State of one or the other."""
+    pick = lambda a, b: [dr.select(mask, x, y) for x, y in zip(a, b, strict=True)]  # noqa: E731
+    liquid = None if one.liquid is None or other.liquid is None else pick(one.liquid, other.liquid)
+    state = State(
+        dr.select(mask, one.surface_k, other.surface_k), pick(one.layers_k, other.layers_k),
+        dr.select(mask, one.film, other.film), liquid,
+    )  # fmt: skip
+    evaluate(state)
+    return state
+
+
+class Fit:
+    """A quadratic function of several variables, fitted to values (n,); `residual` (n,) is of each without itself."""
+
+    residual: Floats
+
+    def __init__(self, x: Floats, y: Floats) -> None:
+        low, high = x.min(axis=0), x.max(axis=0)
+        self._varies = np.flatnonzero(high - low > 1e-6 * (1.0 + np.abs(high)))
+        self._low, self._high = low[self._varies], high[self._varies]
+        terms = self._terms(x)
+        inverse = np.linalg.inv(terms.T @ terms + _RIDGE * np.eye(terms.shape[1]))
+        self._weight = inverse @ (terms.T @ y)
+        self._bounds = y.min(), y.max()
+        lever = np.einsum("ij,jk,ik->i", terms, inverse, terms)
+        self.residual = (y - terms @ self._weight) / np.maximum(1.0 - lever, 1e-3)
+
+    def __call__(self, x: NDArray[Any]) -> Floats:
+        """Return values of the function; outside the range of the variables it is that at their bounds."""
+        return np.clip(self._terms(x) @ self._weight, *self._bounds)
+
+    def _terms(self, x: NDArray[Any]) -> NDArray[Any]:
+        inside = np.clip(x[:, self._varies], self._low, self._high)
+        z = 2.0 * (inside - self._low) / (self._high - self._low) - 1.0
+        first, second = np.triu_indices(len(self._low))
+        return np.hstack([np.ones((len(z), 1), z.dtype), z, z[:, first] * z[:, second]])
