@@ -31,7 +31,7 @@ def yard(tmp_path_factory):
 @pytest.fixture(scope="module")
 def renderer(yard):
     made = tr.Renderer(yard, rays=16, quality="fast", edits=True)
-    assert len(made._heat.record.light) == len(made._heat.known_light.steps) > 80
+    assert len(made._heat.record.light) == len(made._heat.record.steps) > 80
     return made
 
 
