@@ -5,6 +5,7 @@ import functools
 import json
 import os
 import shutil
+import signal
 import tarfile
 import tempfile
 from contextlib import contextmanager
@@ -20,6 +21,12 @@ DATA = Path(os.environ.get("THERMORENDER_DATA", HERE.parents[1] / "shared" / "da
 def slow(*cases):
     """Return cases of a parametrised test, each a value or a tuple of values, marked as slow."""
     return [pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.slow) for case in cases]
+
+
+def hear_signals():
+    """For a process under test: end at signals that the tests were told to ignore, as in the background by `nohup`."""
+    for name in ("SIGINT", "SIGHUP"):
+        signal.signal(getattr(signal, name), signal.SIG_DFL)
 
 
 def shared_data(path):

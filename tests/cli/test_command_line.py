@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from support import slow
+from support import hear_signals, slow
 
 from thermorender.cli import registry
 from thermorender.progress import progress
@@ -132,7 +132,7 @@ def test_terminated_process_cleans_up(tmp_path, name):
     folder = tmp_path / "new"
     land = ["make-scene", "heath", "--draped", "--size-m", "100", "-o", folder / "scene"]
     command = [sys.executable, "-m", "thermorender", *land]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=hear_signals)
     begun = False
     while process.poll() is None and not begun:
         time.sleep(1e-3)

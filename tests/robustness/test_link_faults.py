@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from link_support import TOKEN, Stills, connected, read, serving, settled
-from support import slow
+from support import hear_signals, slow
 
 import thermorender as tr
 from scenes import coarse, write_terrain
@@ -219,7 +219,9 @@ def started(folder, *options):
     """(process, port, token file) of `thermorender serve` on a tiny scene."""
     scene = write_terrain(folder / "tiny")
     command = [sys.executable, "-m", "thermorender", "serve", str(scene), "--port", "0", "--rays", "4", *options]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=hear_signals
+    )
     line = process.stdout.readline()
     port, token = re.search(r"port (\d+); the token is in (.+); stop with Ctrl-C", line).groups()
     return process, int(port), Path(token)
