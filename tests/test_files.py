@@ -14,7 +14,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from support import slow
+from support import hear_signals, slow
 
 from thermorender import files, formats
 from thermorender.cache import CACHED, cache_folder
@@ -189,7 +189,7 @@ with getattr(files, sys.argv[2])(target) as part:
 def test_interrupted_process_leaves_nothing(kind, tmp_path):
     target = tmp_path / "new" / "a.txt"
     command = [sys.executable, "-c", WRITER, target, kind]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=hear_signals)
     assert process.stdout.readline() == b"writing\n" and any(".part" in name for name in names(target.parent))
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)
