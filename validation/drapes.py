@@ -21,6 +21,8 @@ def drape(scene):
     if scene not in KINDS:
         return scene
     folder = FOLDER / scene
-    if not folder.exists():
-        write(make(scene), files.make_folder(FOLDER) / scene)
+    # Studies and tests run side by side.
+    with files.in_use(files.make_folder(FOLDER), wait=True):
+        if not folder.exists():
+            write(make(scene), folder)
     return folder

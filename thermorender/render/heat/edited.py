@@ -42,6 +42,8 @@ _MAY_CHANGE = {"materials", "surfaces", "temperature_state", "spec_weather", "no
 # Share of the change by the light that counts as its error; factors on the error of drawn texels for that of all of
 # them, and for the largest. In the village and on the heath they lie above the true ones.
 _OF_LIGHT, _SURE, _BEYOND = 0.5, 1.5, 3.0
+# Largest error of a preview that is of use, as a share of the change.
+_OF_USE = 0.5
 # Columns at a time where a fit is evaluated.
 _AT_ONCE = 1 << 16
 
@@ -65,7 +67,8 @@ class SolvedHeat:
     nearest: list[NDArray[np.intp] | None] | None = None
 
     def preview(self, scene: Scene) -> HeatPreview | None:
-        """Return the HeatPreview of an edit of this scene; None where the edit needs a run."""
+        """Return the HeatPreview of an edit of this scene; None where the edit needs a run, or
+        where the error would not be below half of the change."""
         before, record = self.scene, self.record
         if not _comparable(before, scene, record):
             return None
@@ -77,22 +80,22 @@ class SolvedHeat:
         make = open_columns(scene.weather, scene.time)
         kinds = Kinds([*record.parts, *parts], np.concatenate([materials, count + materials]), make)
         same_air = all(map(np.array_equal, _series(before.weather), _series(scene.weather)))
-        change, by_light, received = _changes(
-            record, before.weather, before.weather if same_air else scene.weather, kinds
-        )
+        weather = before.weather if same_air else scene.weather
+        edited = np.array([each for each in materials if not (same_air and _same(kinds, each, count + each))], np.int64)
+        change, by_light, received = _changes(record, before.weather, weather, kinds, edited)
         solved = before.surfaces[: before.solved_count]
         material, found = (
             np.concatenate([getattr(surface, name).ravel() for surface in solved])
             for name in ("material", "temperature")
         )
-        square, most, moved = 0.0, 0.0, np.zeros(len(record.known), np.float32)
+        square, most, moved = np.zeros(2), 0.0, np.zeros(len(record.known), np.float32)
         for number in materials:
             drawn = record.material == number
             fit = Fit(np.column_stack([record.own, received[record.face]])[drawn].astype(float), change[drawn])
             texel = np.flatnonzero((material == number) & (record.column >= 0))
             column = np.flatnonzero(np.bincount(record.column[texel]))
             light = received[record.faces[column]]
-            if same_air and _same(kinds, number, count + number):
+            if number not in edited:
                 some = np.abs(light).max(axis=1) > _LEAST_W_M2
                 column, light = column[some], light[some]
             moved[:] = 0.0
@@ -100,12 +103,14 @@ class SolvedHeat:
                 moved[column[part]] = fit(np.column_stack([record.known[column[part]], light[part]]))
             found[texel] += moved[record.column[texel]]
             error = _SURE * np.hypot(fit.residual, _OF_LIGHT * by_light[drawn])
-            square += len(texel) * float((error**2).mean())
+            square += len(texel) * np.array([(error**2).mean(), (change[drawn] ** 2).mean()])
             most = max(most, _BEYOND * float(error.max()))
+        if square[0] > _OF_USE**2 * square[1]:
+            return None
         made = scene.with_solved_temperatures(
             scene.time, self._covered(found), scatter_k=[one.scatter_k for one in solved if one.scatter_k is not None]
         )
-        return HeatPreview(made, float(np.sqrt(square / max((record.column >= 0).sum(), 1))), most)
+        return HeatPreview(made, float(np.sqrt(square[0] / (record.column >= 0).sum())), most)
 
     def _covered(self, kelvin: NDArray[np.float32]) -> list[NDArray[np.float32]]:
         """Temperatures of the surfaces; texels without a face, which only blend, take the nearest's."""
@@ -164,7 +169,9 @@ def _same(kinds: Kinds, one: int, other: int) -> bool:
     )
 
 
-def _changes(record: Record, old: Weather, new: Weather, kinds: Kinds) -> tuple[Floats, Floats, NDArray[np.float32]]:
+def _changes(
+    record: Record, old: Weather, new: Weather, kinds: Kinds, edited: NDArray[np.integer]
+) -> tuple[Floats, Floats, NDArray[np.float32]]:
     """(change of the temperatures of drawn texels (D,) [K], part of it by the change of the light (D,) [K], change of
     the light on faces in the last hours, of the sun's and long-wave (F, 2) [W m⁻²])."""
     mi, count, drawn = record.mi, len(record.parts), len(record.material)
@@ -185,8 +192,8 @@ def _changes(record: Record, old: Weather, new: Weather, kinds: Kinds) -> tuple[
     matter, state = begun(old)
     if new is not old:
         state = _where(after, begun(new)[1], state)
-    sending = _Sending(record, of, turn, parts)
-    more = np.zeros((2, drawn), np.float32)
+    sending = _Sending(record, edited, of, turn, parts, matter)
+    more = [np.zeros(drawn, np.float32)] * 2
     past: Any = 0.0
     for (begin_s, seconds), light in zip(record.steps, record.light, strict=True):
         forcings = []
@@ -215,27 +222,51 @@ def _changes(record: Record, old: Weather, new: Weather, kinds: Kinds) -> tuple[
 
 
 class _Sending:
-    """How much more each material's faces send: a linear function of the sun on them over the last hours."""
+    """How much more the faces of edited materials send, by a linear function of the sun on them, and how much of it
+    others receive: straight, and reflected once."""
 
-    def __init__(self, record: Record, of: NDArray[np.integer], turn: NDArray[np.integer], parts: Parts) -> None:
-        self._record, self._of, self._count = record, record.material[of], (count := len(record.parts))
-        self._share = np.array([-1.0, 0.0, 1.0])[turn] * parts.share()
+    def __init__(
+        self, record: Record, edited: NDArray[np.integer], of: NDArray[np.integer], turn: NDArray[np.integer],
+        parts: Parts, matter: Matter,
+    ) -> None:  # fmt: skip
+        count = len(record.parts)
+        self._count, self._of, self._edited = count, record.material[of], edited
+        # In the light before: what is reflected again is left out.
+        self._share = np.array([-1.0, 1.0, 0.0])[turn] * parts.share()
         sun = record.own[:, SUNLIGHT].astype(float)
         self._number = number = np.maximum(np.bincount(record.material, minlength=count), 1)
         total, square = (np.bincount(record.material, each, count) for each in (sun, sun**2))
-        self._mean = total / number
-        self._spread = np.maximum(square / number - self._mean**2, 1.0)
-        self._lean = sun[of] - self._mean[self._of]
-        one_hot = np.zeros((len(record.face_material), 2 * count), np.float32)
-        faces = np.arange(len(record.face_column))
-        kind = record.face_material[faces]
-        one_hot[faces, kind] = 1.0
-        one_hot[faces, count + kind] = record.known[record.face_column, SUNLIGHT] - self._mean[kind]
-        self._one_hot = one_hot
-        self._shares = np.asarray(record.operator[record.face] @ one_hot)
+        mean = total / number
+        self._spread = np.maximum(square / number - mean**2, 1.0)
+        self._lean = sun[of] - mean[self._of]
+        # Faces are no brighter or darker than the drawn texels, from which the slope is known.
+        low, high = np.full(count, np.inf), np.full(count, -np.inf)
+        np.minimum.at(low, record.material, sun)
+        np.maximum.at(high, record.material, sun)
+        solved, operator = len(record.face_column), record.operator
+        kind = record.face_material[:solved]
+        drawn = np.flatnonzero(low <= high)
+        lean = np.zeros(solved)
+        some = np.isin(kind, drawn)
+        on_face = record.known[record.face_column[some], SUNLIGHT]
+        lean[some] = np.clip(on_face, low[kind[some]], high[kind[some]]) - mean[kind[some]]
+        sends = np.zeros((len(record.face_material), 2 * len(edited)), np.float32)
+        for number_of, material in enumerate(edited):
+            own = np.flatnonzero(kind == material)
+            sends[own, number_of], sends[own, len(edited) + number_of] = 1.0, lean[own]
+        straight = operator @ sends
+        # (2, F, 2 E) for what E edited materials send in sunlight and long-wave.
+        self._on_faces = []
+        for reflects in (1.0 - matter.absorptance, 1.0 - matter.ground.emissivity):
+            later = np.where(turn == 1, parts.share(), 0.0) * np.array(reflects)
+            by_material = np.bincount(self._of, later, count) / number
+            reflected = np.zeros((len(sends), 1), np.float32)
+            reflected[:solved, 0] = by_material[kind]
+            self._on_faces.append(straight + operator @ (reflected * straight))
+        self._on_drawn = [each[record.face] for each in self._on_faces]
 
     def change(self, matter: Matter, forcing: Any, seen_k: Any) -> Floats:
-        """Return the change of what materials send in sunlight and long-wave (2, 2 M): mean and slope over sunlight."""
+        """Return the change of what edited materials send in sunlight and long-wave (2, 2 E): mean and slope."""
         emits = matter.ground.emissivity * (STEFAN_BOLTZMANN * dr.square(dr.square(seen_k)) - forcing.longwave)
         leaves = [(1.0 - matter.absorptance) * forcing.sunlight, emits + forcing.longwave]
         dr.eval(leaves)
@@ -244,16 +275,16 @@ class _Sending:
             values = self._share * np.array(each)
             mean = np.bincount(self._of, values, self._count) / self._number
             slope = np.bincount(self._of, values * self._lean, self._count) / self._number / self._spread
-            found.append(np.concatenate([mean, slope]))
+            found.append(np.concatenate([mean[self._edited], slope[self._edited]]))
         return np.array(found)
 
-    def received(self, sent: Floats) -> NDArray[np.float32]:
-        """Return how much more the drawn texels receive, in sunlight and long-wave (2, D) [W m⁻²]."""
-        return np.float32(sent) @ self._shares.T
+    def received(self, sent: Floats) -> list[NDArray[np.float32]]:
+        """Return how much more the drawn texels receive, in sunlight and in long-wave (D,) [W m⁻²]."""
+        return [on @ np.float32(each) for on, each in zip(self._on_drawn, sent, strict=True)]
 
     def on_faces(self, sent: Floats) -> NDArray[np.float32]:
         """Return how much more every face receives, in sunlight and long-wave (F, 2) [W m⁻²]."""
-        return np.asarray(self._record.operator @ (self._one_hot @ np.float32(sent).T))
+        return np.stack([on @ np.float32(each) for on, each in zip(self._on_faces, sent, strict=True)], axis=1)
 
 
 def _where(mask: Any, one: State, other: State) -> State:
