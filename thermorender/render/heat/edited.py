@@ -41,7 +41,7 @@ _SETTLES_S, _SETTLE_STEP_S = 3 * 86400, 7200.0
 _MAY_CHANGE = {"materials", "surfaces", "temperature_state", "spec_weather", "noted_weather"}
 # Share of the change by the light that counts as its error; factors on the error of drawn texels for that of all of
 # them, and for the largest. In the village and on the heath they lie above the true ones.
-_OF_LIGHT, _SURE, _BEYOND = 0.5, 1.5, 3.0
+_OF_LIGHT, _SURE, _BEYOND = 0.5, 2.0, 3.0
 # Largest error of a preview that is of use, as a share of the change.
 _OF_USE = 0.5
 # Columns at a time where a fit is evaluated.

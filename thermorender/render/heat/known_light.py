@@ -97,13 +97,20 @@ class Recorder:
         rank[by] = np.arange(len(by)) - first[np.searchsorted(each, material[by])]
         self._drawn = np.flatnonzero(rank < most)
         self._first = np.searchsorted(parts.place, np.arange(len(texels)))
+        # Copies have the temperature of their face's column; that of their texel stands for other leaves.
+        face = simulation.covers[texels]
+        self._copies = np.zeros(0, np.int64)
+        if simulation.copies is not None:
+            self._copies = np.flatnonzero((face >= simulation.copies.first) & (face < simulation.faces))
+        self._of_copies = np.searchsorted(simulation.of_faces.place, simulation.column[face[self._copies]])
         self._light: list[Any] = []
         self._past: list[Jit] = []
 
     def columns_are(self, own: NDArray[np.integer], index: Jit = None) -> None:
         """Take note of the number of the column of each part from now on; `index` gives that before of each column."""
-        self._own = own
-        self._at = self._of.mi.UInt32(aligned(own[self._first[self._drawn]], np.uint32))
+        self._own = own[self._first]
+        self._own[self._copies] = self._of_copies
+        self._at = self._of.mi.UInt32(aligned(self._own[self._drawn], np.uint32))
         if index is not None:
             self._past = [dr.gather(type(each), each, index) for each in self._past]
 
@@ -129,7 +136,7 @@ class Recorder:
         face = np.array(place(columns.face)).astype(np.int64)
         inner = np.zeros(len(face)) if columns.matter.inner_w_m2 is None else np.array(columns.matter.inner_w_m2)
         known = [kelvin, *map(np.array, self._past), simulation.sky[face], np.array(place(columns.cooler)), inner]
-        first = self._own[self._first]
+        first = self._own
         reflects = np.ones(len(face))
         reflects[first] = simulation.reflects[self._texels]
         table = np.column_stack([*known, reflects]).astype(np.float32)
