@@ -289,6 +289,28 @@ def test_more_points_than_all_chunks_hold_are_refused(tmp_path, count):
         read_cloud(path)
 
 
+@pytest.mark.parametrize(("at", "value"), [(179, -1e308), (195, 0.0), (203, 1e30), (179, np.inf), (187, np.nan)])
+def test_bounds_that_enclose_nothing_are_refused(tmp_path, at, value):
+    """The largest and smallest x, and those of y, of the header."""
+    path = written(tmp_path / "a.las")
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<d", data, at, value)
+    path.write_bytes(data)
+    with pytest.raises(ThermorenderError, match="which enclose nothing; write it again"):
+        read_cloud(path)
+
+
+def test_compressed_points_of_another_size_than_the_headers_are_refused(tmp_path):
+    """The library would reserve memory for bytes of each point that the compressed ones lack."""
+    path = written(tmp_path / "a.laz")
+    data = bytearray(path.read_bytes())
+    (record,) = struct.unpack_from("<H", data, 105)
+    struct.pack_into("<H", data, 105, record + 1024)
+    path.write_bytes(data)
+    with pytest.raises(ThermorenderError, match=f"describes other points than those of {record + 1024} bytes"):
+        read_cloud(path)
+
+
 def test_points_too_few_for_a_surface_are_refused(tmp_path):
     path = written(tmp_path / "a.las")
     data = bytearray(path.read_bytes())

@@ -147,13 +147,15 @@ def _check_chunks(path: Path, size: int, counted: int) -> None:
         # All bits mean chunks of any number of points, which the table of chunks has.
         if points != 0xFFFFFFFF and points * record > _CHUNK_BYTES:
             raise _short(path)
+        items = [struct.unpack_from("<HH", body, 34 + 6 * k) for k in range((len(body) - 34) // 6)]
+        if sum(length for _, length in items) != record:
+            raise ValueError(f"its LASzip record describes other points than those of {record} bytes in the header")
         file.seek(points_at)
         table = lazrs.read_chunk_table(file, lazrs.LazVlr(body))
         if counted > (points * len(table) if points != 0xFFFFFFFF else sum(number for number, _ in table)):
             raise _short(path)
         if head[104] & 0x3F < 6:
             return
-        items = [struct.unpack_from("<HH", body, 34 + 6 * k) for k in range((len(body) - 34) // 6)]
         layers = sum({10: 9, 11: 1, 12: 2, 13: 1, 14: length}.get(kind, 0) for kind, length in items)
         at = points_at + 8
         for _, length in table:
@@ -189,7 +191,12 @@ def _named(path: Path) -> Iterator[None]:
 def _rasters(path: Path, file: Any) -> Cloud:
     header = file.header
     crs, factor = _crs_of(path, header)
-    left, bottom, right, top = (float(v) for v in (*header.mins[:2], *header.maxs[:2]))
+    left, bottom, right, top = bounds = [float(v) for v in (*header.mins[:2], *header.maxs[:2])]
+    if not (left <= right and bottom <= top and np.isfinite([right - left, top - bottom]).all()):
+        raise ThermorenderError(
+            f"{path} has the bounds {', '.join(f'{v:g}' for v in bounds)} (west, south, east, north) in its header, "
+            "which enclose nothing; write it again, with `pdal translate IN OUT`"
+        )
     lon_lat(Grid(crs, _upright(left, top, 1.0), 1, 1, str(path)), np.array([left, right]), np.array([bottom, top]))
     unit = float(crs.linear_units_factor[1])
     area = max((right - left) * (top - bottom), 1e-9)
