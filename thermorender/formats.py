@@ -24,6 +24,9 @@ _SEAL = "checksum"
 # Tags of a picture that lead to those of EXIF and GPS, and that of an XMP packet.
 _EXIF, _GPS, _XMP = 34665, 34853, 700
 _PNG = b"\x89PNG\r\n\x1a\n"
+_JPEG = b"\xff\xd8"
+# Deflate writes at most 1032 bytes for one, and a byte has at most 8 pixels. Huffman codes of JPEG reach less.
+_PIXELS_PER_BYTE = 8 * 1032
 
 
 # --- text -------------------------------------------------------------------------------------------------------
@@ -230,7 +233,7 @@ def decoded(data: bytes, flags: int) -> np.ndarray | None:
     import cv2
     import numpy as np
 
-    if data.startswith(_PNG) and not _whole_png(data):
+    if (data.startswith(_PNG) and not _whole_png(data)) or (data.startswith((_PNG, _JPEG)) and not _full(data)):
         return None
     before = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -241,6 +244,22 @@ def decoded(data: bytes, flags: int) -> np.ndarray | None:
         return None
     finally:
         cv2.utils.logging.setLogLevel(before)
+
+
+def can_hold(size: int, pixels: int) -> bool:
+    """Return whether a PNG or JPEG of `size` bytes can hold so many pixels; a library reserves memory for all."""
+    return pixels <= _PIXELS_PER_BYTE * size
+
+
+def _full(data: bytes) -> bool:
+    """Whether a PNG or JPEG can hold the pixels that it states."""
+    from PIL import Image
+
+    try:
+        with largest_image(None), Image.open(io.BytesIO(data), formats=("PNG", "JPEG")) as image:
+            return can_hold(len(data), image.width * image.height)
+    except Exception:  # what damaged headers lead to; the decoder refuses them
+        return True
 
 
 def _whole_png(data: bytes) -> bool:

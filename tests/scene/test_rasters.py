@@ -103,21 +103,36 @@ def test_names_that_contradict_the_colours_are_refused(tmp_path):
         read_colour(path)
 
 
-@pytest.mark.parametrize("name", ["a.png", "a.jpg"])
-def test_more_pixels_than_the_bytes_of_a_picture_hold_are_refused_before_they_are_read(tmp_path, name):
-    """Arrays of the size that its header states would take 1 GB."""
+def overstated(path):
+    """A small picture whose header states 13000² pixels, for which arrays would take 0.7 GB and more."""
     from PIL import Image
 
-    Image.fromarray(np.moveaxis(rgb(), 0, -1)).save(tmp_path / name)
-    data = bytearray((tmp_path / name).read_bytes())
+    Image.fromarray(np.moveaxis(rgb(), 0, -1)).save(path)
+    data = bytearray(path.read_bytes())
     # Width and height follow the name of PNG's first chunk, and the precision of JPEG's frame, height first.
-    at, form = (data.index(b"IHDR") + 4, ">II") if name == "a.png" else (data.index(b"\xff\xc0") + 5, ">HH")
-    struct.pack_into(form, data, at, 16000, 16000)
-    if name == "a.png":
+    png = path.suffix == ".png"
+    at, form = (data.index(b"IHDR") + 4, ">II") if png else (data.index(b"\xff\xc0") + 5, ">HH")
+    struct.pack_into(form, data, at, 13000, 13000)
+    if png:
         struct.pack_into(">I", data, at + 13, zlib.crc32(data[at - 4 : at + 13]))
-    (tmp_path / name).write_bytes(data)
-    with pytest.raises(ThermorenderError, match="states 256000000 pixels, for which it has too few bytes"):
-        read_colour(tmp_path / name)
+    path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.jpg"])
+def test_more_pixels_than_the_bytes_of_a_picture_hold_are_refused_before_they_are_read(tmp_path, name):
+    from thermorender import formats
+    from thermorender.apps.training.pictures import read_thermal
+    from thermorender.apps.training.translate import read_picture
+
+    path = overstated(tmp_path / name)
+    with pytest.raises(ThermorenderError, match="states 169000000 pixels, for which it has too few bytes"):
+        read_colour(path)
+    with pytest.raises(ThermorenderError, match="is not a readable picture"):
+        read_thermal(path, (0.04, 0.0))
+    with pytest.raises(ThermorenderError, match="has too few bytes for its 13000×13000 pixels"):
+        read_picture(path)
+    assert formats.decoded(path.read_bytes(), -1) is None
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.jpg"])

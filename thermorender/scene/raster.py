@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
+from thermorender.formats import can_hold
 from thermorender.scene.surface import MOST_TEXELS
 
 # GDAL's driver by file name, and the only one tried. None of these refers to pixels in other files or on a network, as
@@ -19,8 +20,6 @@ FORMATS = {
     ".tif": "GTiff", ".tiff": "GTiff", ".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".jp2": "JP2OpenJPEG",
     ".asc": "AAIGrid",
 }  # fmt: skip
-# Deflate writes at most 1032 bytes for one, and a byte has at most 8 pixels. Huffman codes of JPEG reach less.
-_PIXELS_PER_BYTE = 8 * 1032
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,7 @@ def opened(path: Path | str) -> Iterator[Any]:
 
 def _check_size(path: Path | str, pixels: int) -> None:
     """Refuse a picture of more pixels than its bytes can hold, before a library reserves memory for them."""
-    if pixels > _PIXELS_PER_BYTE * os.path.getsize(path):
+    if not can_hold(os.path.getsize(path), pixels):
         raise ThermorenderError(
             f"{path} states {pixels} pixels, for which it has too few bytes; it is damaged, so copy it again"
         )
