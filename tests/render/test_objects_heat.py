@@ -12,7 +12,7 @@ from thermorender.physics import balance, turbulence
 from thermorender.physics.balance import ColumnProperties, Forcing
 from thermorender.physics.conduction import Slab, layered
 from thermorender.render.heat.instants import solved_at
-from thermorender.render.heat.simulation import _evaluate
+from thermorender.render.heat.matter import evaluate
 from thermorender.render.heat.steps import Library
 from thermorender.render.variant import activate
 from thermorender.scene import open_ground
@@ -77,7 +77,7 @@ def test_steady_sheet_in_the_dark_balances_its_inner_heat(thickness_m, behind):
     state = balance.at_rest(Library, [one(AIR_K)] * len(sheet.capacity), ground)
     for _ in range(60):
         state, _ = balance.step(Library, state, ground, forcing, forcing, dr.opaque(mi.Float, 900.0))
-        _evaluate(state)
+        evaluate(state)
     exchange = turbulence.CALM_W_M2_K + (behind or 0.0)
     expected = [
         brentq(lambda t, q=q: emissivity * SIGMA * (t**4 - SKY_K**4) + exchange * (t - AIR_K) - q, 150.0, 900.0)
