@@ -167,8 +167,8 @@ class Renderer:
         """Return the Renderer of a preview of an edited scene; see `BakedScene.preview_for`.
 
         Where temperatures follow from a heat balance and this renderer was made with `edits`, the temperatures after an
-        edit of materials, wind, humidity or air are previewed too. Their estimated errors are added to those of the
-        light. Other edits, such as of the hour or of the sun, are solved.
+        edit of materials or wind are previewed too. Their estimated errors are added to those of the light. Edits of
+        the hour or of the sun are solved, and those whose error would be above half of the change, as of leaves.
         """
         if scene.temperature_state.solved:
             return self._like_this(self.baked.preview_for(scene, progress))

@@ -1,9 +1,9 @@
 """Temperatures after an edit of materials or of the air, to first order: drawn texels are solved again, others follow.
 
-The drawn texels get the light of the run before the edit and its change: that which the faces of each material send,
-by the mean of the drawn ones, in shares of the light's own rays. The change of their temperatures is fitted, material
-by material, by a quadratic function of what every column knows of its light. Each drawn texel's residual, as if it had
-not taken part in the fit, gives the error.
+The drawn texels get the light of the run before the edit and its change: what the faces of edited materials send more,
+by the sun on them, straight and reflected once. The change of their temperatures is fitted, material by material, by a
+quadratic function of what every column knows of its light. Each drawn texel's residual, as if it had not taken part in
+the fit, and a half of what the change of the light does give the error.
 """
 
 from dataclasses import dataclass
@@ -67,8 +67,8 @@ class SolvedHeat:
     nearest: list[NDArray[np.intp] | None] | None = None
 
     def preview(self, scene: Scene) -> HeatPreview | None:
-        """Return the HeatPreview of an edit of this scene; None where the edit needs a run, or
-        where the error would not be below half of the change."""
+        """Return the HeatPreview of an edit of this scene; None where it needs a run, or where the error would not be
+        below half of the change."""
         before, record = self.scene, self.record
         if not _comparable(before, scene, record):
             return None
