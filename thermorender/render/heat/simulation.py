@@ -14,7 +14,7 @@ A simulation begins two days before the first instant requested, from settled co
 memory.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -359,7 +359,7 @@ class _Simulation:
         instant; from then on only those that also have like sun, and with deviations none."""
         mi, parts = self.mi, Parts(self.kinds, self.material[texels])
         light: _Light | None = None
-        sun = _SunShares(self)
+        sun, tested = _SunShares(self), dict[float, NDArray[np.float32]]()
         self.arrives: Any = None
         steps = steps_to(self.start, self.asked)
         first_s = float((self.asked[0] - self.start) / np.timedelta64(1, "s"))
@@ -391,7 +391,7 @@ class _Simulation:
                 some, later = np.arange(len(of)), faces + np.arange(len(of))
                 if self.deviations is None:
                     ends = [at + seconds for at, seconds in steps[number:]]
-                    some, later = self._in_like_sun(texels, parts, ends, first_s - _FINE_S)
+                    some, later, tested = self._in_like_sun(texels, parts, ends, first_s - _FINE_S)
                 index = mi.UInt32(aligned(np.concatenate([np.arange(faces), own[some]]), np.uint32))
                 own_of = lambda values, index=index: [dr.gather(mi.Float, each, index) for each in values]  # noqa: E731
                 surface_k, film = own_of([state.surface_k, state.film])
@@ -399,7 +399,7 @@ class _Simulation:
                 state = State(surface_k, own_of(state.layers_k), film, liquid, remainder_k)
                 columns, _ = self._columns(of[some], parts.kind[some])
                 evaluate(state)
-                own, shared, sun, light = later, False, _SunShares(self), None
+                own, shared, sun, light = later, False, _SunShares(self, tested), None
                 if recorder is not None:
                     recorder.columns_are(own, index)
             sun.step(columns, at, seconds, shared)
@@ -436,18 +436,21 @@ class _Simulation:
 
     def _in_like_sun(
         self, texels: NDArray[np.integer], parts: Parts, times_s: Sequence[float], fine_from_s: float
-    ) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
-        """(index of the `parts` of texels that need a column, number of the column of each part): those of one kind
-        share it on a face where their sun is alike at all these times."""
+    ) -> tuple[NDArray[np.integer], NDArray[np.integer], dict[float, NDArray[np.float32]]]:
+        """(index of the `parts` of texels that need a column, number of the column of each part, {time: share of the
+        sun on each texel with a column}): those of one kind share it on a face where their sun is alike at all these
+        times."""
         face, point = self._points(texels)
         at, key = self._uploaded(point, face), face.astype(np.uint64)
+        tested = {}
         for time_s in times_s:
             towards = self._sun(self._instant(time_s))
             if towards[2] > 0.0:
-                share = np.array(self.sun_share(*at, towards))
+                tested[time_s] = share = np.array(self.sun_share(*at, towards))
                 key = _mixed(key) ^ np.rint(share * (_FINE if time_s > fine_from_s else _COARSE)).astype(np.uint64)
         some, number = _first_of(_mixed(_mixed(key)[parts.place] ^ parts.kind.astype(np.uint64)))
-        return some, len(self.of_faces.kind) + number
+        alone = np.unique(parts.place[some])
+        return some, len(self.of_faces.kind) + number, {time_s: share[alone] for time_s, share in tested.items()}
 
     def _sun(self, instant: np.datetime64) -> NDArray[np.float64]:
         azimuth, elevation = self.weather.sun(instant)
@@ -535,10 +538,12 @@ class _Simulation:
 
 
 class _SunShares:
-    """The share of the sun's rays that arrives at columns, tested at the ends of steps and linear in time between."""
+    """The share of the sun's rays that arrives at columns, tested at the ends of steps and linear in time between.
 
-    def __init__(self, simulation: _Simulation) -> None:
-        self._of = simulation
+    `texels` are shares that are known, {time: (n,)} of the columns after those of the faces."""
+
+    def __init__(self, simulation: _Simulation, texels: Mapping[float, NDArray[np.float32]] | None = None) -> None:
+        self._of, self._texels = simulation, texels or {}
         # {time of day [s]: share} of the first day, in which texels share columns.
         self._known: dict[int, Jit] = {}
         self._ends: list[tuple[float, Jit | None]] = []
@@ -569,7 +574,13 @@ class _SunShares:
             return None
         if keep and key in self._known:
             return self._known.pop(key)
-        share = self._of.sun_share(columns.point, columns.normal, columns.face, towards)
+        point, normal, face = columns.point, columns.normal, columns.face
+        if time_s in self._texels:
+            here = dr.arange(self._of.mi.UInt32, len(self._of.alone))
+            point, normal, face = (dr.gather(type(each), each, here) for each in (point, normal, face))
+        share = self._of.sun_share(point, normal, face, towards)
+        if time_s in self._texels:
+            share = dr.concat([share, self._of.mi.Float(aligned(self._texels[time_s]))])
         dr.eval(share)
         if keep and time_s < _DAY_S:
             self._known[key] = share
