@@ -17,10 +17,12 @@ from thermorender.errors import ThermorenderError, ThermorenderWarning
 from thermorender.scene import terrain
 from thermorender.scene.load import load_scene
 from thermorender.scene.orthophoto import read_colour
+from thermorender.scene.raster import opened
 from thermorender.scene.surface import FALLBACK, FILLED, UNKNOWN
 
 CRS, LEFT, TOP, SIDE = "EPSG:32632", 500000.0, 5300000.0, 32.0
 RED, GREEN, BLUE, NIR, NONE = (getattr(ColorInterp, name) for name in ("red", "green", "blue", "nir", "undefined"))
+PLACE = {"crs": CRS, "transform": rasterio.Affine(1.0, 0.0, LEFT, 0.0, -1.0, TOP)}
 GREY, ALPHA = ColorInterp.gray, ColorInterp.alpha
 # A colour per quarter, so that a turned or mirrored picture differs.
 QUARTERS = np.array([[(200, 60, 30), (40, 150, 70)], [(50, 80, 180), (160, 150, 140)]], np.uint8)
@@ -126,13 +128,36 @@ def test_more_pixels_than_the_bytes_of_a_picture_hold_are_refused_before_they_ar
     from thermorender.apps.training.translate import read_picture
 
     path = overstated(tmp_path / name)
-    with pytest.raises(ThermorenderError, match="states 169000000 pixels, for which it has too few bytes"):
+    with pytest.raises(ThermorenderError, match="states 169000000 pixels in 3 bands, for which it has too few bytes"):
         read_colour(path)
     with pytest.raises(ThermorenderError, match="is not a readable picture"):
         read_thermal(path, (0.04, 0.0))
     with pytest.raises(ThermorenderError, match="has too few bytes for its 13000×13000 pixels"):
         read_picture(path)
     assert formats.decoded(path.read_bytes(), -1) is None
+
+
+@pytest.mark.parametrize(
+    ("size", "stated"),
+    [((1, 30000, 10000), "300000000 pixels,"), ((3000, 300, 10000), "3000000 pixels in 3000 bands,")],
+)
+def test_a_raster_of_a_few_bytes_that_states_many_values_is_refused_before_it_is_read(tmp_path, size, stated):
+    path, (bands, height, width) = tmp_path / "a.tif", size
+    options = {"count": bands, "height": height, "width": width, "dtype": "uint8", "SPARSE_OK": True}
+    with rasterio.open(path, "w", driver="GTiff", blockysize=height, interleave="pixel", **PLACE, **options):
+        pass
+    with pytest.raises(ThermorenderError, match=f"states {stated} for which it has too few bytes"):
+        read_colour(path)
+
+
+def test_a_constant_in_the_best_compression_is_opened(tmp_path):
+    path, side = tmp_path / "a.tif", 8192
+    options = {"compress": "lerc_zstd", "tiled": True, "blockxsize": side, "blockysize": side, "dtype": "uint8"}
+    with rasterio.open(path, "w", driver="GTiff", width=side, height=side, count=1, **PLACE, **options) as dataset:
+        dataset.write(np.full((1, side, side), 3, np.uint8))
+    assert path.stat().st_size < side**2 / 5e4
+    with opened(path) as dataset:
+        assert dataset.width == side
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.jpg"])

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, shortened
 from thermorender.scene.raster import opened
 
 _COLOURS = ("red", "green", "blue")
@@ -64,10 +64,11 @@ def _declared(path: Path, dataset: Any, names: list[str]) -> list[int]:
         )
     if not any(whole):
         declared = ",".join((*_COLOURS, *["undefined"] * (dataset.count - 3)))
+        # A command cut short would not work.
+        or_declare = f", or declare them with `rio edit-info --colorinterp {declared} FILE`" * (dataset.count <= 16)
         raise ThermorenderError(
             f"{path} does not declare which of its {dataset.count} bands are red, green and blue (colour "
-            f"interpretation {', '.join(names)}); give --bands RED,GREEN,BLUE to import-terrain, or declare them with "
-            f"`rio edit-info --colorinterp {declared} FILE`"
+            f"interpretation {shortened(', '.join(names))}); give --bands RED,GREEN,BLUE to import-terrain{or_declare}"
         )
     return [each[0] for each in (by_colour if whole[0] else by_word)]
 

@@ -21,6 +21,9 @@ FORMATS = {
     ".asc": "AAIGrid",
 }  # fmt: skip
 
+# Values that a byte of a raster stands for at most: a constant in tiles of 8192² takes 1/117 000 (LERC with ZSTD).
+_MOST = 1 << 18
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -84,8 +87,8 @@ def opened(path: Path | str) -> Iterator[Any]:
                         f"{path} has {dataset.width}×{dataset.height} pixels; a raster may have up to {MOST_TEXELS}, "
                         "so cut or thin it, for example with `rio warp`"
                     )
-                if dataset.driver in ("PNG", "JPEG"):
-                    _check_size(path, dataset.width * dataset.height)
+                if driver is not None:
+                    _check_size(path, dataset)
                 if len(dataset.subdatasets) > 1 or (dataset.subdatasets and dataset.count):
                     raise ThermorenderError(
                         f"{path} holds {len(dataset.subdatasets)} rasters ({_listed(dataset.subdatasets)}); copy "
@@ -108,11 +111,14 @@ def opened(path: Path | str) -> Iterator[Any]:
         ) from None
 
 
-def _check_size(path: Path | str, pixels: int) -> None:
-    """Refuse a picture of more pixels than its bytes can hold, before a library reserves memory for them."""
-    if not can_hold(os.path.getsize(path), pixels):
+def _check_size(path: Path | str, dataset: Any) -> None:
+    """Refuse a raster of more pixels than its bytes can hold, before a library reserves memory for them."""
+    size, pixels = os.path.getsize(path), dataset.width * dataset.height
+    fits = can_hold(size, pixels) if dataset.driver in ("PNG", "JPEG") else pixels * dataset.count <= _MOST * size
+    if not fits:
+        bands = "" if dataset.count == 1 else f" in {dataset.count} bands"
         raise ThermorenderError(
-            f"{path} states {pixels} pixels, for which it has too few bytes; it is damaged, so copy it again"
+            f"{path} states {pixels} pixels{bands}, for which it has too few bytes; it is damaged, so copy it again"
         )
 
 
