@@ -11,7 +11,7 @@ from thermorender.materials.library import load_library
 from thermorender.materials.mixture import mix
 from thermorender.physics import humidity
 from thermorender.render.heat import simulation as heat
-from thermorender.render.heat import steps
+from thermorender.render.heat import steps, sun_on_columns
 from thermorender.scene import open_ground
 from thermorender.scene.deviations import Deviations
 from thermorender.scene.load import load_scene
@@ -78,7 +78,7 @@ def test_thermal_crossover_matches_columns_in_the_open(walled, day):
 
 
 def each_alone(monkeypatch):
-    def every(self, texels, parts, times_s, fine_from_s):
+    def every(self, texels, parts, times_s, first_s):
         number = np.arange(len(parts.kind))
         return number, len(self.of_faces.kind) + number, {}
 
@@ -89,8 +89,8 @@ def test_texels_in_like_sun_share_a_column_within_30_mk(walled, monkeypatch):
     columns = []
     kept = heat._Simulation._in_like_sun
 
-    def counted(self, texels, parts, times_s, fine_from_s):
-        found = kept(self, texels, parts, times_s, fine_from_s)
+    def counted(self, texels, parts, times_s, first_s):
+        found = kept(self, texels, parts, times_s, first_s)
         columns.append((len(found[0]), len(texels)))
         return found
 
@@ -145,13 +145,13 @@ def test_sun_between_the_ends_of_steps_differs_little_from_short_steps(walled, m
 
 def test_the_sun_is_tested_once_a_step_and_serves_the_day_after(walled, monkeypatch):
     tested = []
-    share = heat.sun_share
+    share = sun_on_columns.sun_share
 
     def counted(geometry, point, normal, towards, active):
         tested.append(len(np.array(point.x)))
         return share(geometry, point, normal, towards, active)
 
-    monkeypatch.setattr(heat, "sun_share", counted)
+    monkeypatch.setattr(sun_on_columns, "sun_share", counted)
     heat.solved(walled, [AT])
     start = AT - np.timedelta64(48, "h")
     ends = [0.0, *(at + seconds for at, seconds in steps.steps_to(start, [AT]))]

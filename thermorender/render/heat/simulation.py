@@ -14,7 +14,7 @@ A simulation begins two days before the first instant requested, from settled co
 memory.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,7 +28,6 @@ from thermorender.physics import balance, humidity
 from thermorender.physics.balance import Forcing, State
 from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.physics.srgb import linear_from_bytes
-from thermorender.physics.sun import direction
 from thermorender.render.arrays import Jit, aligned
 from thermorender.render.geometry import Geometry
 from thermorender.render.heat.copies import Copies
@@ -44,8 +43,9 @@ from thermorender.render.heat.matter import (
     open_columns,
     varied,
 )
-from thermorender.render.heat.places import lit_cosine, sun_share, texel_points
+from thermorender.render.heat.places import lit_cosine, texel_points
 from thermorender.render.heat.steps import Library, steps_to
+from thermorender.render.heat.sun_on_columns import Sun, SunShares, mixed
 from thermorender.render.light import contacts, radiosity, transport_cache
 from thermorender.render.light.exchange import threads
 from thermorender.render.variant import activate
@@ -67,12 +67,9 @@ _BEFORE_S = 48 * 3600.0
 _SHARED_LIGHT_S, _LIGHT_S, _RAYS, _REFLECTIONS = 3600.0, 1800.0, 64, 4
 # Time before the first instant in which each texel has its own sun; earlier those of a face and material share it [s].
 _OWN_S = 4 * 3600.0
-_DAY_S = 86400
 # Columns of texels simulated at a time, about 350 bytes each; four times as many parts where some share a column to the
 # end.
 _AT_ONCE = 1 << 22
-# Shares of the sun are alike in steps of 1/64 within the last hour, of 1/16 before.
-_FINE, _COARSE, _FINE_S = 64, 16, 3600.0
 # Largest factor on reflectance from the brightness of a texel over that of its class.
 _BRIGHTEST = 2.0
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. ITU-R BT.709-6, item 3.2
@@ -185,7 +182,8 @@ class _Simulation:
         self.inner_w_m2 = np.repeat(inner, [len(surface.faces) for surface in terrain]) if inner.any() else None
         copies, self.copies = range(solid, scene.solved_count), None
         if copies:
-            self.copies = Copies(geometry, copies, len(asked), lambda at_s: self._sun(self._instant(at_s)))
+            self.copies = Copies(geometry, copies, len(asked), lambda at_s: self.sun.towards(self.sun.instant(at_s)))
+        self.sun = Sun(geometry, self.weather, self.start, self.copies.first if self.copies else None)
 
     def _start_in_the_open(self, touching: NDArray[np.integer]) -> None:
         """Move the points of bodies' faces that something covers in part to an open part, where their light starts."""
@@ -359,7 +357,7 @@ class _Simulation:
         instant; from then on only those that also have like sun, and with deviations none."""
         mi, parts = self.mi, Parts(self.kinds, self.material[texels])
         light: _Light | None = None
-        sun, tested = _SunShares(self), dict[float, NDArray[np.float32]]()
+        sun, tested = SunShares(self.sun, len(self.alone)), dict[float, NDArray[np.float32]]()
         self.arrives: Any = None
         steps = steps_to(self.start, self.asked)
         first_s = float((self.asked[0] - self.start) / np.timedelta64(1, "s"))
@@ -391,7 +389,7 @@ class _Simulation:
                 some, later = np.arange(len(of)), faces + np.arange(len(of))
                 if self.deviations is None:
                     ends = [at + seconds for at, seconds in steps[number:]]
-                    some, later, tested = self._in_like_sun(texels, parts, ends, first_s - _FINE_S)
+                    some, later, tested = self._in_like_sun(texels, parts, ends, first_s)
                 index = mi.UInt32(aligned(np.concatenate([np.arange(faces), own[some]]), np.uint32))
                 own_of = lambda values, index=index: [dr.gather(mi.Float, each, index) for each in values]  # noqa: E731
                 surface_k, film = own_of([state.surface_k, state.film])
@@ -399,7 +397,7 @@ class _Simulation:
                 state = State(surface_k, own_of(state.layers_k), film, liquid, remainder_k)
                 columns, _ = self._columns(of[some], parts.kind[some])
                 evaluate(state)
-                own, shared, sun, light = later, False, _SunShares(self, tested), None
+                own, shared, sun, light = later, False, SunShares(self.sun, len(self.alone), tested), None
                 if recorder is not None:
                     recorder.columns_are(own, index)
             sun.step(columns, at, seconds, shared)
@@ -435,46 +433,28 @@ class _Simulation:
         return np.flatnonzero(own)[some], column
 
     def _in_like_sun(
-        self, texels: NDArray[np.integer], parts: Parts, times_s: Sequence[float], fine_from_s: float
+        self, texels: NDArray[np.integer], parts: Parts, times_s: Sequence[float], first_s: float
     ) -> tuple[NDArray[np.integer], NDArray[np.integer], dict[float, NDArray[np.float32]]]:
         """(index of the `parts` of texels that need a column, number of the column of each part, {time: share of the
         sun on each texel with a column}): those of one kind share it on a face where their sun is alike at all these
-        times."""
+        times, up to and after the first instant asked for."""
         face, point = self._points(texels)
-        at, key = self._uploaded(point, face), face.astype(np.uint64)
-        tested = {}
-        for time_s in times_s:
-            towards = self._sun(self._instant(time_s))
-            if towards[2] > 0.0:
-                tested[time_s] = share = np.array(self.sun_share(*at, towards))
-                key = _mixed(key) ^ np.rint(share * (_FINE if time_s > fine_from_s else _COARSE)).astype(np.uint64)
-        some, number = _first_of(_mixed(_mixed(key)[parts.place] ^ parts.kind.astype(np.uint64)))
+        key, tested = self.sun.alike(*self._uploaded(point, face), times_s, first_s)
+        some, number = _first_of(mixed(key[parts.place] ^ parts.kind.astype(np.uint64)))
         alone = np.unique(parts.place[some])
         return some, len(self.of_faces.kind) + number, {time_s: share[alone] for time_s, share in tested.items()}
-
-    def _sun(self, instant: np.datetime64) -> NDArray[np.float64]:
-        azimuth, elevation = self.weather.sun(instant)
-        return direction(float(elevation), float(azimuth))
-
-    def _instant(self, at_s: float) -> np.datetime64:
-        return self.start + np.timedelta64(round(1000.0 * at_s), "ms")
 
     def _cosine(self, normal: Jit, face: Jit, more: Jit, share: Jit, at_s: float) -> Jit:
         """Cosine of the sun's rays at columns, 0 in shadow, where a `share` of them arrives; on copies as of
         `Copies.on`."""
-        found = lit_cosine(self.geometry, normal, self._sun(self._instant(at_s))) * share
+        found = lit_cosine(self.geometry, normal, self.sun.towards(self.sun.instant(at_s))) * share
         return found if self.copies is None else self.copies.on(face, more, found, at_s)
 
-    def sun_share(self, point: Jit, normal: Jit, face: Jit, towards: NDArray[np.float64]) -> Jit:
-        """Return the share of the sun's rays that arrives at columns, Float; 0 on copies, which have their own."""
-        solid = True if self.copies is None else face < dr.opaque(self.mi.UInt32, self.copies.first)
-        return sun_share(self.geometry, point, normal, towards, self.mi.Bool(solid))
-
-    def _forcing(self, at_s: float, light: "_Light", columns: _Columns, sun: "_SunShares") -> Forcing:
+    def _forcing(self, at_s: float, light: "_Light", columns: _Columns, sun: SunShares) -> Forcing:
         """The Forcing of columns at an instant [s after the start]."""
-        mi, instant = self.mi, self._instant(at_s)
+        mi, instant = self.mi, self.sun.instant(at_s)
         found = self.weather.at(instant)
-        towards = self._sun(instant)
+        towards = self.sun.towards(instant)
         one = lambda value: dr.opaque(mi.Float, float(value))  # noqa: E731
         gathered = lambda values: dr.gather(mi.Float, values, columns.face)  # noqa: E731
         at_place = columns.at_place
@@ -496,14 +476,14 @@ class _Simulation:
 
     def _light(
         self, at_s: float, seconds: float, every_s: float, seen_k: NDArray[np.float32], columns: _Columns,
-        sun: "_SunShares",
+        sun: SunShares,
     ) -> "_Light":  # fmt: skip
         """The _Light between the faces, of temperatures `seen_k`, from `at_s` on, where a step of `seconds` begins, for
         an interval `every_s`; each call adds one reflection to the light of the call before."""
         mi = self.mi
         middle_s = at_s + 0.5 * every_s
-        middle = min(self._instant(middle_s), self.weather.time[-1])
-        found, towards = self.weather.at(middle), self._sun(middle)
+        middle = min(self.sun.instant(middle_s), self.weather.time[-1])
+        found, towards = self.weather.at(middle), self.sun.towards(middle)
         level = float(found.direct_w_m2 * max(towards[2], 0.0) + found.diffuse_w_m2)
         own = self.sky * np.float32(found.diffuse_w_m2 / max(level, 1.0))
         if towards[2] > 0.0 and found.direct_w_m2 > 0.0:
@@ -512,7 +492,7 @@ class _Simulation:
             if middle_s <= at_s + seconds:
                 share = dr.gather(mi.Float, sun.at(middle_s), here)
             else:
-                share = self.sun_share(dr.gather(mi.Point3f, columns.point, here), normal, face, towards)
+                share = self.sun.share(dr.gather(mi.Point3f, columns.point, here), normal, face, towards)
             lit = np.array(self._cosine(normal, face, mi.Bool(False), share, middle_s))
             own[: self.faces] += np.float32(found.direct_w_m2 / max(level, 1.0)) * lit[self.column]
         kelvin = self.face_kelvin.copy()
@@ -535,56 +515,6 @@ class _Simulation:
         """Mean over the terrain's area."""
         share = self.geometry.share[: self.faces]
         return values[: self.faces] @ share / share.sum()
-
-
-class _SunShares:
-    """The share of the sun's rays that arrives at columns, tested at the ends of steps and linear in time between.
-
-    `texels` are shares that are known, {time: (n,)} of the columns after those of the faces."""
-
-    def __init__(self, simulation: _Simulation, texels: Mapping[float, NDArray[np.float32]] | None = None) -> None:
-        self._of, self._texels = simulation, texels or {}
-        # {time of day [s]: share} of the first day, in which texels share columns.
-        self._known: dict[int, Jit] = {}
-        self._ends: list[tuple[float, Jit | None]] = []
-        self._count = 0
-
-    def step(self, columns: _Columns, at_s: float, seconds: float, keep: bool) -> None:
-        """Test at both ends of a step of `seconds` from `at_s`. With `keep`, the share of a day before serves again:
-        the sun's height changes by 0.4° a day at most."""
-        known, self._count = dict(self._ends), dr.width(columns.normal)
-        self._ends = [
-            (time_s, known[time_s] if time_s in known else self._tested(columns, time_s, keep))
-            for time_s in (at_s, at_s + seconds)
-        ]
-
-    def at(self, at_s: float) -> Jit:
-        """Return the share at a time in the step [s], Float."""
-        (start_s, first), (end_s, last) = self._ends
-        if first is None or last is None:
-            # The sun is above the horizon at one end only, or at neither.
-            only = last if first is None else first
-            return dr.zeros(self._of.mi.Float, self._count) if only is None else only
-        return dr.lerp(first, last, dr.opaque(self._of.mi.Float, (at_s - start_s) / (end_s - start_s)))
-
-    def _tested(self, columns: _Columns, time_s: float, keep: bool) -> Jit | None:
-        """The share at a time, None below the horizon."""
-        towards, key = self._of._sun(self._of._instant(time_s)), round(time_s) % _DAY_S
-        if towards[2] <= 0.0:
-            return None
-        if keep and key in self._known:
-            return self._known.pop(key)
-        point, normal, face = columns.point, columns.normal, columns.face
-        if time_s in self._texels:
-            here = dr.arange(self._of.mi.UInt32, len(self._of.alone))
-            point, normal, face = (dr.gather(type(each), each, here) for each in (point, normal, face))
-        share = self._of.sun_share(point, normal, face, towards)
-        if time_s in self._texels:
-            share = dr.concat([share, self._of.mi.Float(aligned(self._texels[time_s]))])
-        dr.eval(share)
-        if keep and time_s < _DAY_S:
-            self._known[key] = share
-        return share
 
 
 @dataclass(frozen=True, eq=False)
@@ -633,13 +563,6 @@ def _first_of(key: NDArray[Any]) -> tuple[NDArray[np.integer], NDArray[np.intege
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
     return first[order], rank[each]
-
-
-def _mixed(key: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Numbers of 64 bits in which every bit of `key` takes part: the finalizer of MurmurHash3."""
-    for factor in (0xFF51AFD7ED558CCD, 0xC4CEB9FE1A85EC53):
-        key = (key ^ key >> np.uint64(33)) * np.uint64(factor)
-    return key ^ key >> np.uint64(33)
 
 
 def _leaves(geometry: Geometry) -> NDArray[np.bool_]:
