@@ -251,6 +251,12 @@ def can_hold(size: int, pixels: int) -> bool:
     return pixels <= _PIXELS_PER_BYTE * size
 
 
+def refuse_overstated(image: Any, size: int) -> None:
+    """Raise ValueError where a Pillow image, a PNG or JPEG of `size` bytes, states more pixels than these can hold."""
+    if image.format in ("PNG", "JPEG") and not can_hold(size, image.width * image.height):
+        raise ValueError(f"it has too few bytes for its {image.width}×{image.height} pixels")
+
+
 def _full(data: bytes) -> bool:
     """Whether a PNG or JPEG can hold the pixels that it states."""
     from PIL import Image

@@ -64,8 +64,9 @@ def _declared(path: Path, dataset: Any, names: list[str]) -> list[int]:
         )
     if not any(whole):
         declared = ",".join((*_COLOURS, *["undefined"] * (dataset.count - 3)))
+        command = f", or declare them with `rio edit-info --colorinterp {declared} FILE`"
         # A command cut short would not work.
-        or_declare = f", or declare them with `rio edit-info --colorinterp {declared} FILE`" * (dataset.count <= 16)
+        or_declare = command if dataset.count <= 16 else ""
         raise ThermorenderError(
             f"{path} does not declare which of its {dataset.count} bands are red, green and blue (colour "
             f"interpretation {shortened(', '.join(names))}); give --bands RED,GREEN,BLUE to import-terrain{or_declare}"

@@ -234,12 +234,16 @@ def _allowed(corner: _Floats, own: float, bodies: Sequence[_Body]) -> _Floats:
     if not len(corner):
         return limit
     low, high = corner.min(axis=1).T, corner.max(axis=1).T
-    longest, normal = _longest(corner), _normals(corner)
+    longest = _longest(corner)
     # Farther away, no triangle is too large.
     reach = longest.max() / _GROWTH
     first, last = low.min(axis=1) - reach, high.max(axis=1) + reach
     lows, highs = (np.array([getattr(body, name) for body in bodies]).reshape(-1, 3) for name in ("low", "high"))
-    for number in np.flatnonzero(((highs >= first) & (lows <= last)).all(axis=1)).tolist():
+    numbers = np.flatnonzero(((highs >= first) & (lows <= last)).all(axis=1)).tolist()
+    if not numbers:
+        return limit
+    normal = _normals(corner)
+    for number in numbers:
         body = bodies[number]
         near = np.flatnonzero((low[0] <= body.high[0] + reach) & (high[0] >= body.low[0] - reach))
         apart = [

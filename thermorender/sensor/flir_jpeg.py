@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.formats import can_hold
+from thermorender.formats import refuse_overstated
 from thermorender.sensor.radiometry import AirModel, PlanckConstants, ThermographySettings, thermography_temperature
 from thermorender.units import ZERO_CELSIUS_K
 
@@ -159,8 +159,7 @@ def _png(data: bytes, size: tuple[int, int]) -> NDArray[np.uint16]:
             with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
                 if image.size != size or image.mode not in ("I;16", "I;16B", "I"):
                     raise _Damaged(f"the PNG inside is {image.size[0]}×{image.size[1]} {image.mode}")
-                if not can_hold(len(data), image.width * image.height):
-                    raise _Damaged(f"the PNG inside has too few bytes for {image.size[0]}×{image.size[1]} pixels")
+                refuse_overstated(image, len(data))
                 return np.asarray(image).astype(np.uint16)
     except (OSError, SyntaxError, ValueError, Warning, struct.error) as error:
         raise _Damaged(f"the PNG inside cannot be read: {error}") from None

@@ -207,10 +207,7 @@ def read_picture(path: files.PathLike) -> tuple[np.ndarray, np.ndarray | None]:
             warnings.simplefilter("ignore")
             with Image.open(path, formats=_FORMATS) as file:
                 mode = file.mode
-                if file.format in ("PNG", "JPEG") and not formats.can_hold(
-                    os.stat(path).st_size, file.width * file.height
-                ):
-                    raise ValueError(f"it has too few bytes for its {file.width}×{file.height} pixels")
+                formats.refuse_overstated(file, os.stat(path).st_size)
                 if mode not in _DEEP_GREY:
                     image = ImageOps.exif_transpose(file)
                     if "A" in image.getbands() or "transparency" in image.info:

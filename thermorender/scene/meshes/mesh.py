@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.formats import can_hold, largest_image
+from thermorender.formats import largest_image, refuse_overstated
 from thermorender.physics.geodesy import FARTHEST_M
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.scene.meshes import gltf, obj, ply
@@ -244,8 +244,7 @@ def _pixels(coat: Coat, path: Path) -> NDArray[np.uint8]:
         image = Image.open(io.BytesIO(coat.image))
         if image.format not in _IMAGE_FORMATS:
             raise ValueError(f"it is {image.format}")
-        if image.format in ("PNG", "JPEG") and not can_hold(len(coat.image), image.width * image.height):
-            raise ValueError(f"it has too few bytes for its {image.width}×{image.height} pixels")
+        refuse_overstated(image, len(coat.image))
         if image.mode[0] in "IF":
             raise ValueError("it has a single band of more than 8 bits")
         lowest = 255
