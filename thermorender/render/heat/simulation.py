@@ -357,7 +357,7 @@ class _Simulation:
         instant; from then on only those that also have like sun, and with deviations none."""
         mi, parts = self.mi, Parts(self.kinds, self.material[texels])
         light: _Light | None = None
-        sun, tested = SunShares(self.sun, len(self.alone)), dict[float, NDArray[np.float32]]()
+        sun, tested = SunShares(self.sun, len(self.alone)), dict[float, NDArray[np.uint16]]()
         self.arrives: Any = None
         steps = steps_to(self.start, self.asked)
         first_s = float((self.asked[0] - self.start) / np.timedelta64(1, "s"))
@@ -434,7 +434,7 @@ class _Simulation:
 
     def _in_like_sun(
         self, texels: NDArray[np.integer], parts: Parts, times_s: Sequence[float], first_s: float
-    ) -> tuple[NDArray[np.integer], NDArray[np.integer], dict[float, NDArray[np.float32]]]:
+    ) -> tuple[NDArray[np.integer], NDArray[np.integer], dict[float, NDArray[np.uint16]]]:
         """(index of the `parts` of texels that need a column, number of the column of each part, {time: share of the
         sun on each texel with a column}): those of one kind share it on a face where their sun is alike at all these
         times, up to and after the first instant asked for."""

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 _DAY_S = 86400
 # Shares of the sun are alike in steps of 1/64 within the last hour, of 1/16 before.
 _FINE, _COARSE, _FINE_S = 64, 16, 3600.0
+# Shares of many texels are kept as whole numbers up to this: 0 and 1 are exact, others to 8e-6, 7 mW/m² of sunlight.
+_WHOLE = 65535
 
 
 class Sun:
@@ -44,26 +46,30 @@ class Sun:
 
     def alike(
         self, point: Jit, normal: Jit, face: Jit, times_s: Sequence[float], first_s: float
-    ) -> tuple[NDArray[np.uint64], dict[float, NDArray[np.float32]]]:
+    ) -> tuple[NDArray[np.uint64], dict[float, NDArray[np.uint16]]]:
         """Return (a number (n,) that is the same for points of one face whose sun is alike at all these times; {time:
-        share} of those at which it is up). `first_s` is the first time whose temperatures are asked for."""
-        key, shares = np.array(face).astype(np.uint64), dict[float, NDArray[np.float32]]()
+        share} of those at which it is up, as `SunShares` takes them).
+
+        `first_s` is the first time whose temperatures are asked for.
+        """
+        key, shares = np.array(face).astype(np.uint64), dict[float, NDArray[np.uint16]]()
         for time_s in times_s:
             towards = self.towards(self.instant(time_s))
             if towards[2] > 0.0:
-                shares[time_s] = np.array(self.share(point, normal, face, towards))
+                share = np.array(self.share(point, normal, face, towards))
+                shares[time_s] = np.rint(share * _WHOLE).astype(np.uint16)
                 parts = _FINE if time_s > first_s - _FINE_S else _COARSE
-                key = mixed(key) ^ np.rint(shares[time_s] * parts).astype(np.uint64)
+                key = mixed(key) ^ np.rint(share * parts).astype(np.uint64)
         return mixed(key), shares
 
 
 class SunShares:
     """The share of the sun's rays that arrives at columns, tested at the ends of steps and linear in time between.
 
-    `texels` are shares that are known, {time: (n,)} of the columns after those of the `faces`.
+    `texels` are shares that are known, {time: (n,) uint16 of 65535} of the columns after those of the `faces`.
     """
 
-    def __init__(self, sun: Sun, faces: int, texels: Mapping[float, NDArray[np.float32]] | None = None) -> None:
+    def __init__(self, sun: Sun, faces: int, texels: Mapping[float, NDArray[np.uint16]] | None = None) -> None:
         self._sun, self._faces, self._texels = sun, faces, texels or {}
         # {time of day [s]: share} of the first day, in which texels share columns.
         self._known: dict[int, Jit] = {}
@@ -101,7 +107,7 @@ class SunShares:
             point, normal, face = (dr.gather(type(each), each, here) for each in (point, normal, face))
         share = self._sun.share(point, normal, face, towards)
         if time_s in self._texels:
-            share = dr.concat([share, type(share)(aligned(self._texels[time_s]))])
+            share = dr.concat([share, type(share)(aligned(self._texels[time_s] / np.float32(_WHOLE)))])
         dr.eval(share)
         if keep and time_s < _DAY_S:
             self._known[key] = share
