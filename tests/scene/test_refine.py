@@ -10,6 +10,7 @@ import thermorender as tr
 from scenes import scene_object, write_mesh, write_terrain
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render import reference
+from thermorender.scene import refine
 from thermorender.scene.ground import Ground
 from thermorender.scene.refine import evened
 from thermorender.trajectory.path import pose
@@ -58,6 +59,20 @@ def test_many_small_objects_gain_few_triangles_and_a_large_one_beside_them_too(t
     (beside,) = (surface for surface in scene.surfaces if surface.name == "shed:box")
     assert len(alone.surfaces[1].faces) <= len(beside.faces) < 20_000
     np.testing.assert_allclose(area(scene.surfaces[0]).sum(), area(plain).sum(), rtol=1e-9)
+
+
+def test_ground_beside_many_small_objects_gains_at_most_the_stated_number_of_triangles(tmp_path, monkeypatch):
+    small = [scene_object(f"o{k}", [0.05, 0.05, 0.05], [k % 10 - 5.0, k // 10 - 4.0, 0.02], shape="disc")
+             for k in range(80)]  # fmt: skip
+    plain = tr.load_scene(write_terrain(tmp_path / "plain", height=np.zeros((16, 16)))).surfaces[0]
+    most = 6000
+    monkeypatch.setattr(refine, "_MOST_BESIDE", most)
+    scene = tr.load_scene(write_terrain(tmp_path / "many", height=np.zeros((16, 16)), extra="\n".join(small)))
+    assert len(plain.faces) < len(scene.surfaces[0].faces) < len(plain.faces) + 1.1 * most
+    np.testing.assert_allclose(area(scene.surfaces[0]).sum(), area(plain).sum(), rtol=1e-9)
+    monkeypatch.setattr(refine, "_MOST_BESIDE", 1 << 30)
+    free = tr.load_scene(write_terrain(tmp_path / "free", height=np.zeros((16, 16)), extra="\n".join(small)))
+    assert len(free.surfaces[0].faces) > len(plain.faces) + 3 * most
 
 
 def shown(surface, up):

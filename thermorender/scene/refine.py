@@ -3,7 +3,7 @@
 Light changes within a fraction of the size of an object beside it, and from foot to eaves of a wall.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +23,9 @@ TRACKED_SHARE = 1.0 / 8.0
 # Triangles that may be added to all objects together. Where the shares above would add more, the shortest edges are
 # lengthened first: small objects among many are cut less, and large ones beside them as before.
 _MOST_ON_OBJECTS = 1 << 15
+# The same of the ground beside objects. A triangle there has parts of a longest edge squared on average, since halving
+# overshoots and ends conformingly: measured 4 to 10.
+_MOST_BESIDE, _PARTS_BESIDE = 1 << 18, 9.0
 # Distance at which bodies touch, as a share of the longest edge at a body.
 _TOUCH = 0.1
 # Triangles by halving, as a multiple of the product of length and height in longest edges: halving overshoots.
@@ -37,6 +40,8 @@ _CUTS = {
     2: ((3, 1, 4), (0, 3, 4), (0, 4, 2)),
     3: ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)),
 }
+# Triangles whose longest edges differ by up to 2 to this power are searched for bodies together.
+_SIZES = 2
 # Evenly spread directions in which an object's outermost corners are kept.
 _DIRECTIONS = 64
 
@@ -52,6 +57,21 @@ class _Body:
     edge: float  # Longest edge of a triangle at it [m]
 
 
+class _Bodies:
+    """Bodies, found by their boxes."""
+
+    def __init__(self, each: Sequence[_Body]) -> None:
+        self.each = each
+        self._low, self._high = (
+            np.array([getattr(body, name) for body in each]).reshape(-1, 3) for name in ("low", "high")
+        )
+
+    def within(self, low: _Floats, high: _Floats) -> list[int]:
+        """Return the numbers of the bodies whose boxes meet the box from `low` to `high`."""
+        found: list[int] = np.flatnonzero(((self._high >= low) & (self._low <= high)).all(axis=1)).tolist()
+        return found
+
+
 def refined(
     terrain: Sequence[Surface],
     objects: Sequence[Surface],
@@ -65,9 +85,11 @@ def refined(
     too large. What is only `beside` the terrain refines it and is not returned.
     """
     least = _least_edge(objects)
-    bodies = [_body(item, max(_EDGE_SHARE * _extent(item), least)) for item in (*objects, *beside)]
+    near = max(least, _least_edge_beside(terrain, (*objects, *beside)))
+    each = [_body(item, max(_EDGE_SHARE * _extent(item), near)) for item in (*objects, *beside)]
+    bodies, solid = _Bodies(each), _Bodies(each[: len(objects)])
     return [_finer(surface, np.inf, bodies) for surface in terrain], [
-        _finer(item, max(own_share * _extent(item), least), bodies[: len(objects)]) for item in objects
+        _finer(item, max(own_share * _extent(item), least), solid) for item in objects
     ]
 
 
@@ -164,12 +186,41 @@ def _least_edge(objects: Sequence[Surface]) -> float:
         most = np.maximum(own, edge)
         return float(np.where(longest > most, _PARTS * longest * np.maximum(height, most) / most**2, 0.0).sum())
 
-    if added(0.0) <= _MOST_ON_OBJECTS:
+    return _least(added, _MOST_ON_OBJECTS, own.min(), longest.max())
+
+
+def _least_edge_beside(terrain: Sequence[Surface], bodies: Sequence[Surface]) -> float:
+    """Shortest limit of an edge at bodies with which the ground beside all gains at most `_MOST_BESIDE` triangles [m].
+
+    At a distance r from a box of perimeter P in plan, edges of e + r/2 allow an area of (P + 2πr) dr to be cut into
+    triangles of about e², up to the ground's typical edge, or half way to the next body.
+    """
+    if not bodies or not terrain:
         return 0.0
-    low, high = np.log2(own.min()), np.log2(longest.max())
+    typical = float(np.median(np.concatenate([_longest(item.vertices[item.faces]) for item in terrain])))
+    own = np.array([_EDGE_SHARE * _extent(item) for item in bodies])
+    around = 2.0 * np.array([np.ptp(item.vertices[:, :2], axis=0).sum() for item in bodies])
+    place = np.concatenate([item.vertices[:, :2] for item in bodies])
+    area = float(np.prod(np.ptp(place, axis=0)))
+    between = _GROWTH * np.sqrt(area / (np.pi * len(bodies)))
+
+    def added(edge: float) -> float:
+        least = np.minimum(np.maximum(own, edge), typical)
+        most = np.minimum(np.maximum(between, least), typical)
+        rows = around / _GROWTH * (1.0 / least - 1.0 / most) + 2.0 * np.pi / _GROWTH**2 * np.log(most / least)
+        return _PARTS_BESIDE * float((rows + area / len(bodies) * (most**-2 - typical**-2)).sum())
+
+    return _least(added, _MOST_BESIDE, own.min(), typical)
+
+
+def _least(added: Callable[[float], float], most: int, low: float, high: float) -> float:
+    """The shortest edge between two with which `added` triangles are at most so many; 0 where they always are."""
+    if added(0.0) <= most:
+        return 0.0
+    low, high = float(np.log2(low)), float(np.log2(high))
     for _ in range(30):
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if added(np.exp2(middle)) <= _MOST_ON_OBJECTS else (middle, high)
+        low, high = (low, middle) if added(float(np.exp2(middle))) <= most else (middle, high)
     return float(np.exp2(high))
 
 
@@ -214,7 +265,7 @@ def _longest(corner: _Floats) -> _Floats:
     return edge.max(axis=1)
 
 
-def _finer(surface: Surface, own: float, bodies: Sequence[_Body]) -> Surface:
+def _finer(surface: Surface, own: float, bodies: _Bodies) -> Surface:
     """A surface without edges longer than `own` and than those allowed beside bodies [m]."""
     corner = surface.vertices[surface.faces]
     longest, limit = _longest(corner), _allowed(corner, own, bodies)
@@ -228,28 +279,35 @@ def _finer(surface: Surface, own: float, bodies: Sequence[_Body]) -> Surface:
     return surface
 
 
-def _allowed(corner: _Floats, own: float, bodies: Sequence[_Body]) -> _Floats:
+def _allowed(corner: _Floats, own: float, bodies: _Bodies) -> _Floats:
     """Longest edge allowed in triangles (F, 3 corners, 3), (F,) [m]: `own`, or what the bodies before them allow."""
-    limit = np.full(len(corner), own)
-    if not len(corner):
-        return limit
-    low, high = corner.min(axis=1).T, corner.max(axis=1).T
-    longest = _longest(corner)
+    limit, longest = np.full(len(corner), own), _longest(corner)
+    # Small triangles are lit from nearby alone, so those of like size are searched together.
+    size = np.frexp(longest)[1] // _SIZES
+    for one in np.unique(size):
+        alike = np.flatnonzero(size == one)
+        limit[alike] = _allowed_alike(corner[alike], longest[alike], own, bodies)
+    return limit
+
+
+def _allowed_alike(corner: _Floats, longest: _Floats, own: float, bodies: _Bodies) -> _Floats:
+    """As `_allowed`, of triangles (F, 3 corners, 3) of like size, whose longest edges are `longest` (F,) [m]."""
+    limit, low, high = np.full(len(corner), own), corner.min(axis=1).T, corner.max(axis=1).T
     # Farther away, no triangle is too large.
     reach = longest.max() / _GROWTH
-    first, last = low.min(axis=1) - reach, high.max(axis=1) + reach
-    lows, highs = (np.array([getattr(body, name) for body in bodies]).reshape(-1, 3) for name in ("low", "high"))
-    numbers = np.flatnonzero(((highs >= first) & (lows <= last)).all(axis=1)).tolist()
+    numbers = bodies.within(low.min(axis=1) - reach, high.max(axis=1) + reach)
     if not numbers:
         return limit
     normal = _normals(corner)
+    order = low[0].argsort()
+    east, widest = low[0][order], (high[0] - low[0]).max()
     for number in numbers:
-        body = bodies[number]
-        near = np.flatnonzero((low[0] <= body.high[0] + reach) & (high[0] >= body.low[0] - reach))
-        apart = [
-            np.maximum(np.maximum(body.low[k] - high[k][near], low[k][near] - body.high[k]), 0.0) for k in range(3)
-        ]
-        edge = np.maximum(body.edge, _GROWTH * np.sqrt(sum(each**2 for each in apart)))
+        body = bodies.each[number]
+        first = east.searchsorted(body.low[0] - reach - widest)
+        near = order[first : east.searchsorted(body.high[0] + reach, "right")]
+        near = near[(low[1][near] <= body.high[1] + reach) & (high[1][near] >= body.low[1] - reach)]
+        apart = np.maximum(np.maximum(body.low[:, None] - high[:, near], low[:, near] - body.high[:, None]), 0.0)
+        edge = np.maximum(body.edge, _GROWTH * np.sqrt(np.einsum("kf,kf->f", apart, apart)))
         fine = np.minimum(longest, limit)[near] <= edge
         near, edge = near[~fine], edge[~fine]
         if not len(near):

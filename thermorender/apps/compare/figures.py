@@ -124,13 +124,14 @@ def error_images(path: Path, view: View, seen: Mapping[str, Image], reference: s
         if number:
             cold, warm = _scale(seen[label], view.known)
             own.imshow(celsius(seen[label]), cmap=warmth, vmin=cold, vmax=warm)
-            own.set_title(f"own scale, {cold:.1f}…{warm:.1f} °C", fontsize=8)
+            own.set_title(f"own scale, {cold:.1f}…{warm:.1f} °C", fontsize=8, y=1.0)
         elif view.truth is not None:
             own.imshow(photograph)
-        axis.set_title(formats.label(textwrap.fill(label, _TITLE)), fontsize=9)
+        # A stated height, since the search for one takes half of the drawing.
+        axis.set_title(formats.label(textwrap.fill(label, _TITLE)), fontsize=9, y=1.0)
         if label in errors and below:
             drawn = below[0].imshow(errors[label], cmap=fault, vmin=-limit, vmax=limit)
-            below[0].set_title("error", fontsize=8)
+            below[0].set_title("error", fontsize=8, y=1.0)
     for axis in axes.ravel():
         axis.set_axis_off()
     below = axes[-1, : columns // 2].tolist(), axes[-1, columns // 2 :].tolist()

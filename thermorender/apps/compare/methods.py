@@ -402,8 +402,8 @@ def object_temperatures(scene: Scene, model: TemperatureMap, reference: Renderer
     sky, found = None, {}
     if model.needs:
         time = scene.time
-        assert time is not None  # a map with these needs is refused without [weather]
-        weather, sky = conditions(scene.weather, time), scene.sky_temperature
+        assert time is not None and scene.spec.weather is not None  # else a map with these needs is refused
+        weather, sky = conditions(scene.weather, time, scene.spec.weather.inside_c), scene.sky_temperature
         if "terrain" in model.needs:
             planes = reliefs(scene, [time], reference.baked.geometry)[time]
     for item in scene.spec.objects:

@@ -5,6 +5,7 @@ materials are, level in the open and in shade. They describe the heat stored in 
 """
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -27,6 +28,13 @@ def conditions(weather: Weather, time: np.datetime64, inside_c: float = 20.0) ->
     air's mean over the day before minus its present temperature; day is that of the year. For each of `TYPICAL`
     materials, open_NAME and shade_NAME are its temperature above the air's [K], level in the open, or without direct
     sun for a day."""
+    return dict(_conditions(weather, time, inside_c))
+
+
+# Renderers of one scene under many maps ask for the same instant; the balances of typical materials take seconds.
+@lru_cache(maxsize=32)
+def _conditions(weather: Weather, time: np.datetime64, inside_c: float) -> dict[str, float]:
+    """As `conditions`; a Weather does not change."""
     now = weather.at(time)
     elevation = float(weather.sun(time)[1])
     before = max(time - _DAY, weather.time[0])
