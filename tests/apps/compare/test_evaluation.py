@@ -22,6 +22,7 @@ from thermorender.apps.training.map_inputs import inputs_of
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.learned.correlation import Correlation
+from thermorender.learned.fingerprints import fingerprints_of
 from thermorender.learned.temperature_map import save_map
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.sensor.radiometric_files import write_tlinear
@@ -111,6 +112,25 @@ def test_baselines_have_the_expected_errors(scored):
     assert methods["mean per material"]["groups"]["material"]["grass_green"]["mae_k"] == pytest.approx(
         np.abs(own).mean(), abs=5e-3
     )
+
+
+def test_maps_of_the_same_pictures_share_one_search_and_each_is_named(undrawn, tmp_path, monkeypatch):
+    dataset = make_dataset(tmp_path / "d")
+    seen, other = (
+        [dataset.pair(each).visible for each in part] for part in (dataset.entries[4:6], dataset.entries[:1])
+    )
+    for name, pictures in (("one", seen), ("two", seen), ("three", other)):
+        prints = fingerprints_of(pictures, len(pictures))
+        save_map(dataclasses.replace(linear_map(), name=name, fingerprints=prints), tmp_path / f"{name}.npz")
+    searched, search = [], evaluation.search_in
+    monkeypatch.setattr(
+        evaluation, "search_in", lambda model, *rest: searched.append(model.name) or search(model, *rest)
+    )
+    maps = [str(tmp_path / f"{name}.npz") for name in ("one", "two", "three")]
+    found = evaluate(dataset, maps, tmp_path / "out")["training_pictures"]
+    assert searched == ["one", "three"]
+    assert [f"map {name!r}" in found[name]["line"] for name in ("one", "two", "three")] == [True] * 3
+    assert found["one"]["found"] == found["two"]["found"] != {} == found["three"]["found"]
 
 
 def test_exact_map_has_no_error(undrawn, tmp_path, monkeypatch):

@@ -203,7 +203,7 @@ def evaluate(
     leaks = _audit(dataset.of("train"), scored) if part != "train" and train.entries else None
     training = read_training_part(train, levels, lambda share: report("reading the training part", share))
     bounds = training.bounds_k or _model(maps[0]).range_k
-    seen = [_training_pictures(_model(each), scored, report) for each in maps]
+    seen = _training_pictures([_model(each) for each in maps], scored, report)
     drawn = [*maps, *_foreign(foreign or {}, views)]
     scores = _scores(views, [*drawn, *baselines(training)], bounds, report, spread)
     texts = [*models, *([privileged] if privileged else [])]
@@ -417,15 +417,23 @@ def _audit(train: Dataset, scored: Dataset) -> dict[str, Any]:
     return {"lines": found.lines(), **found.summary()}
 
 
-def _training_pictures(model: TemperatureMap, scored: Dataset, report: Callable[[str, float], object]) -> Search:
-    """Return the Search for a map's training pictures in the scored ones."""
-    entries = scored.entries
+def _training_pictures(
+    models: Sequence[TemperatureMap], scored: Dataset, report: Callable[[str, float], object]
+) -> list[Search]:
+    """Return the Search for each map's training pictures in the scored ones; maps of the same pictures share it."""
+    entries, found = scored.entries, dict[tuple[bytes, int] | None, Search]()
 
     def read(number: int) -> NDArray[np.uint8]:
         return scored.pair(entries[number], truth=False).visible
 
-    step = f"searching training pictures of {model.name}"
-    return search_in(model, [entry.key for entry in entries], read, lambda share: report(step, share))
+    searches = []
+    for model in models:
+        prints, step = model.fingerprints, f"searching training pictures of {model.name}"
+        key = None if prints is None else (prints.rows.tobytes(), prints.pictures)
+        if key not in found:
+            found[key] = search_in(model, [entry.key for entry in entries], read, partial(report, step))
+        searches.append(replace(found[key], model=model))
+    return searches
 
 
 def _notes(scale: ThermalScale, maps: Sequence[LearnedMap], entries: Sequence[Entry]) -> list[str]:
