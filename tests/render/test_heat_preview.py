@@ -11,6 +11,7 @@ from scenes import WEATHER, write_balance
 from thermorender.materials.library import load_library
 from thermorender.materials.mixture import mix
 from thermorender.render.heat import simulation as heat
+from thermorender.render.heat.sun_on_columns import Sun
 from thermorender.scene.load import load_scene
 
 
@@ -93,6 +94,31 @@ def turned(scene):
 )
 def test_edits_of_the_sun_the_hour_and_the_places_of_materials_need_a_run(renderer, change):
     assert renderer._heat.preview(change(renderer.scene)) is None
+
+
+EXACT = {
+    "absorptance": (EDITS["dark asphalt becomes light"], False),
+    "wind": (EDITS["wind"], False),
+    "places of materials": (turned, True),
+    "the hour": (lambda scene: scene.at(scene.time - np.timedelta64(1, "h")), True),
+}
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_an_exact_edit_tests_for_the_sun_where_its_columns_or_instants_moved_and_equals_a_fresh_run(
+    renderer, monkeypatch, name
+):
+    edit, moves = EXACT[name]
+    scene = edit(renderer.scene)
+    (fresh,) = heat.solved(scene, [scene.time])
+    tested, share = [], Sun.share
+    monkeypatch.setattr(Sun, "share", lambda *given: tested.append(1) or share(*given))
+    exact = tr.Renderer(scene, rays=16, quality="fast", like=renderer, edits=True)
+    assert bool(tested) == moves
+    np.testing.assert_array_equal(kelvin(exact.scene), kelvin(fresh))
+    # What a run did not need is not kept.
+    kept = [set(each._heat.record.sun) for each in (renderer, exact)]
+    assert moves or kept[0] == kept[1]
 
 
 def test_a_frame_of_a_preview_states_an_error_above_its_own_and_a_renderer_without_it_solves(yard, renderer):

@@ -176,7 +176,8 @@ class Renderer:
         found = None if self._heat is None else self._heat.preview(scene)
         if found is None:
             assert scene.time is not None
-            solved = solved_at(scene, [scene.time], self._geometry, progress)[0]
+            known = None if self._heat is None else self._heat.record
+            solved = solved_at(scene, [scene.time], self._geometry, progress, known=known)[0]
             return self._like_this(self.baked.preview_for(solved, progress))
         baked = self.baked.preview_for(found.scene, progress)
         errors = baked.errors_mk
@@ -522,7 +523,8 @@ def _solved(
     assert scene.time is not None
     with interactive(progress) as report:
         records: list[Record] | None = [] if edits else None
-        solved = solved_at(scene, [scene.time], geometry, report, records)[0]
+        before = None if like is None or like._heat is None else like._heat.record
+        solved = solved_at(scene, [scene.time], geometry, report, records, before)[0]
     if not records:
         return solved, None
     # Imported here, as other renderers do not need it.

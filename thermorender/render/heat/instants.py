@@ -21,9 +21,11 @@ def solved_at(
     geometry: "Geometry | None" = None,
     progress: "Progress | None" = None,
     records: "list[Record] | None" = None,
+    known: "Record | None" = None,
 ) -> list[Scene]:
     """Return the scene with its temperatures solved at each of some instants, by `heat.simulation.solved`,
-    `heat.moved.moved` or `heat.relief.mapped`, as the source of its temperature state. `records` is as of `solved`."""
+    `heat.moved.moved` or `heat.relief.mapped`, as the source of its temperature state. `records` and `known` are as of
+    `solved`."""
     # Imported here, as other scenes do not need them.
     source = scene.temperature_state.source
     if isinstance(source, Conditional):
@@ -33,7 +35,7 @@ def solved_at(
     if not isinstance(source, Moved):
         from thermorender.render.heat.simulation import solved
 
-        return solved(scene, times, geometry, progress, records=records)
+        return solved(scene, times, geometry, progress, records=records, known=known)
     from thermorender.render.heat.moved import moved
 
     return [each.scene for each in moved(scene, times, geometry, progress)]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from thermorender.physics.balance import Forcing
 from thermorender.render.arrays import Jit, aligned
 from thermorender.render.heat.matter import Parts, PartsOf
+from thermorender.render.heat.sun_on_columns import SunMemory
 
 if TYPE_CHECKING:
     from thermorender.render.heat.simulation import _Columns, _Simulation
@@ -60,6 +61,8 @@ class Record:
         The material of each face.
     face_column : (solved faces,)
         Column of the first part of each face that is solved.
+    sun : dict
+        Results of tests for the sun, for a run after an edit.
     """
 
     mi: Any
@@ -78,6 +81,7 @@ class Record:
     operator: Any
     face_material: NDArray[np.integer]
     face_column: NDArray[np.integer]
+    sun: SunMemory
 
 
 class Recorder:
@@ -147,5 +151,5 @@ class Recorder:
             simulation.mi, simulation.parts, simulation.inside_k, simulation.start,
             self._steps, drawn, simulation.material[drawn], face[at], table[at], self._light,
             table, face.astype(np.int32), column[simulation.first], simulation.operator, simulation.face_material,
-            np.asarray(np.searchsorted(simulation.of_faces.place, simulation.column)),
+            np.asarray(np.searchsorted(simulation.of_faces.place, simulation.column)), simulation.sun.memory or {},
         )  # fmt: skip

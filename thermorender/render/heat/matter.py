@@ -62,8 +62,10 @@ class Kinds:
         given = [values for values in columns.ground if values is not None]
         rows = [columns.absorptance, columns.wind_factor, columns.indoors, columns.snow_m, *map(np.atleast_2d, given)]
         _, first, number = np.unique(np.vstack(rows), axis=1, return_index=True, return_inverse=True)
-        self.columns = columns if len(first) == len(used) else make([used[index] for index in first])
-        number = np.arange(len(used)) if len(first) == len(used) else number
+        # Numbered in the order of materials, which an edit of their values keeps.
+        order = first.argsort()
+        number = order.argsort()[number.reshape(-1)]
+        self.columns = columns if len(first) == len(used) else make([used[index] for index in first[order]])
         self.count = np.ones(len(parts), np.int64)
         self.count[present] = [len(parts[each]) for each in present]
         self.kind = np.zeros((len(parts), self.count.max()), np.int64)

@@ -45,7 +45,7 @@ from thermorender.render.heat.matter import (
 )
 from thermorender.render.heat.places import lit_cosine, texel_points
 from thermorender.render.heat.steps import Library, steps_to
-from thermorender.render.heat.sun_on_columns import Sun, SunShares, mixed
+from thermorender.render.heat.sun_on_columns import Sun, SunMemory, SunShares, mixed
 from thermorender.render.light import contacts, radiosity, transport_cache
 from thermorender.render.light.exchange import threads
 from thermorender.render.variant import activate
@@ -79,19 +79,21 @@ _WHAT = "simulating the heat balance"
 def solved(
     scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None,
     deviations: Deviations | None = None, block: int = 1, records: "list[Record] | None" = None,
+    known: "Record | None" = None,
 ) -> list[Scene]:  # fmt: skip
     """Return the scene with the temperatures of terrain and objects that ask for it at each of some instants (UTC),
     from its heat balance. Other objects keep the temperatures of the scene file, cast shadows and radiate. `deviations`
     make a truth that differs from the material tables. Texels of one material in squares of `block` a side of a picture
     have one temperature, of the mean deviations. `progress` is called with (what, share done). `records` is given the
-    Record of the run, for previews of edits, unless the texels are simulated in blocks."""
+    Record of the run, for previews of edits, unless the texels are simulated in blocks. `known` is the Record of a run
+    on the same `geometry`, whose tests for the sun serve again where points and instants are the same."""
     asked = sorted(set(times))
     geometry = geometry or Geometry(activate(), scene.surfaces)
     report_progress = progress or (lambda what, share: None)
     report_progress(_WHAT, 0.0)
     higher_m = scene.altitude_m - scene.weather.altitude_m
     parts = parts_in_weather(scene.materials, scene.weather, asked[0], higher_m)
-    simulation = _Simulation(scene, parts, geometry, asked, deviations, block)
+    simulation = _Simulation(scene, parts, geometry, asked, deviations, block, None if known is None else known.sun)
     simulation.records = records
     kelvin = simulation.covered(simulation.run(lambda share: report_progress(_WHAT, share)))
     # Dr.Jit keeps the memory of the largest step, 1 GB on heath, which no later work needs.
@@ -131,7 +133,7 @@ class _Simulation:
 
     def __init__(
         self, scene: Scene, parts: PartsOf, geometry: Geometry, asked: "list[np.datetime64]",
-        deviations: Deviations | None, block: int,
+        deviations: Deviations | None, block: int, known: SunMemory | None = None,
     ) -> None:  # fmt: skip
         self.scene, self.parts, self.geometry, self.mi, self.asked = scene, parts, geometry, geometry.mi, asked
         assert scene.spec.weather is not None
@@ -183,7 +185,7 @@ class _Simulation:
         copies, self.copies = range(solid, scene.solved_count), None
         if copies:
             self.copies = Copies(geometry, copies, len(asked), lambda at_s: self.sun.towards(self.sun.instant(at_s)))
-        self.sun = Sun(geometry, self.weather, self.start, self.copies.first if self.copies else None)
+        self.sun = Sun(geometry, self.weather, self.start, self.copies.first if self.copies else None, known)
 
     def _start_in_the_open(self, touching: NDArray[np.integer]) -> None:
         """Move the points of bodies' faces that something covers in part to an open part, where their light starts."""
@@ -229,6 +231,7 @@ class _Simulation:
         blocks = np.split(every, np.flatnonzero(np.diff(before // most)) + 1)
         # Previews are for scenes that are edited while someone waits.
         self.records = self.records if len(blocks) == 1 else None
+        self.sun.memory = None if self.records is None else {}
         for number, texels in enumerate(blocks):
 
             def report(share: float, n: int = number) -> None:
@@ -438,11 +441,17 @@ class _Simulation:
         """(index of the `parts` of texels that need a column, number of the column of each part, {time: share of the
         sun on each texel with a column}): those of one kind share it on a face where their sun is alike at all these
         times, up to and after the first instant asked for."""
-        face, point = self._points(texels)
-        key, tested = self.sun.alike(*self._uploaded(point, face), times_s, first_s)
-        some, number = _first_of(mixed(key[parts.place] ^ parts.kind.astype(np.uint64)))
-        alone = np.unique(parts.place[some])
-        return some, len(self.of_faces.kind) + number, {time_s: share[alone] for time_s, share in tested.items()}
+
+        def tested() -> tuple[NDArray[np.integer], NDArray[np.integer], dict[float, NDArray[np.uint16]]]:
+            face, point = self._points(texels)
+            key, shares = self.sun.alike(*self._uploaded(point, face), times_s, first_s)
+            some, number = _first_of(mixed(key[parts.place] ^ parts.kind.astype(np.uint64)))
+            alone = np.unique(parts.place[some])
+            return some, number, {time_s: share[alone] for time_s, share in shares.items()}
+
+        depends = np.array([first_s, *times_s]), texels, parts.place, parts.kind, self.middle, self.covers
+        some, number, shares = self.sun.remembered(tested, times_s, *depends)
+        return some, len(self.of_faces.kind) + number, shares
 
     def _cosine(self, normal: Jit, face: Jit, more: Jit, share: Jit, at_s: float) -> Jit:
         """Cosine of the sun's rays at columns, 0 in shadow, where a `share` of them arrives; on copies as of
@@ -492,7 +501,13 @@ class _Simulation:
             if middle_s <= at_s + seconds:
                 share = dr.gather(mi.Float, sun.at(middle_s), here)
             else:
-                share = self.sun.share(dr.gather(mi.Point3f, columns.point, here), normal, face, towards)
+
+                def tested() -> Jit:
+                    share = self.sun.share(dr.gather(mi.Point3f, columns.point, here), normal, face, towards)
+                    dr.eval(share)
+                    return share
+
+                share = self.sun.remembered(tested, [middle_s], self.middle, self.alone)
             lit = np.array(self._cosine(normal, face, mi.Bool(False), share, middle_s))
             own[: self.faces] += np.float32(found.direct_w_m2 / max(level, 1.0)) * lit[self.column]
         kelvin = self.face_kelvin.copy()

@@ -1,7 +1,8 @@
 """The sun on columns of a heat balance: where it stands, and the share of its rays that arrives, step by step."""
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import drjit as dr
 import numpy as np
@@ -22,13 +23,45 @@ _FINE, _COARSE, _FINE_S = 64, 16, 3600.0
 # Shares of many texels are kept as whole numbers up to this: 0 and 1 are exact, others to 8e-6, 7 mW/m² of sunlight.
 _WHOLE = 65535
 
+# Results of tests for the sun on one Geometry, by what they depend on beside it.
+SunMemory = dict[bytes, Any]
+_Found = TypeVar("_Found")
+
 
 class Sun:
-    """The sun over a scene, at times in seconds after `start`. Faces from `first_copy` on have light of their own."""
+    """The sun over a scene, at times in seconds after `start`. Faces from `first_copy` on have light of their own.
 
-    def __init__(self, geometry: Geometry, weather: "Weather", start: np.datetime64, first_copy: int | None) -> None:
+    `known` is the memory of a run on the same Geometry, whose tests serve again: an edit of materials moves no shadow.
+    """
+
+    def __init__(
+        self, geometry: Geometry, weather: "Weather", start: np.datetime64, first_copy: int | None,
+        known: SunMemory | None = None,
+    ) -> None:  # fmt: skip
         self._geometry, self._weather, self._start = geometry, weather, start
+        self._first_copy = first_copy
         self._solid_until = None if first_copy is None else dr.opaque(geometry.mi.UInt32, first_copy)
+        self._known = known or {}
+        # Not kept: None.
+        self.memory: SunMemory | None = None
+
+    @property
+    def remembers(self) -> bool:
+        """Whether there is a memory to read or to write."""
+        return self.memory is not None or bool(self._known)
+
+    def remembered(self, make: Callable[[], _Found], times_s: Sequence[float], *arrays: NDArray[Any]) -> _Found:
+        """Return what `make` tests for the sun at these times, which depends on `arrays`, or that of the run before."""
+        if not self.remembers:
+            return make()
+        key = hashlib.blake2b(repr((self._first_copy, [array.shape for array in arrays])).encode(), digest_size=16)
+        for array in (*(self.towards(self.instant(time_s)) for time_s in times_s), *arrays):
+            key.update(np.ascontiguousarray(array).data)
+        name = key.digest()
+        found: _Found = self._known[name] if name in self._known else make()
+        if self.memory is not None:
+            self.memory[name] = found
+        return found
 
     def instant(self, at_s: float) -> np.datetime64:
         """Return the instant of a time."""
@@ -75,6 +108,7 @@ class SunShares:
         self._known: dict[int, Jit] = {}
         self._ends: list[tuple[float, Jit | None]] = []
         self._none: Any = None
+        self._points: tuple[NDArray[Any], NDArray[Any]] | None = None
 
     def step(self, columns: "_Columns", at_s: float, seconds: float, keep: bool) -> None:
         """Test at both ends of a step of `seconds` from `at_s`. With `keep`, the share of a day before serves again:
@@ -105,10 +139,21 @@ class SunShares:
         if time_s in self._texels:
             here = dr.arange(type(face), self._faces)
             point, normal, face = (dr.gather(type(each), each, here) for each in (point, normal, face))
-        share = self._sun.share(point, normal, face, towards)
+
+        def tested() -> Jit:
+            share = self._sun.share(point, normal, face, towards)
+            dr.eval(share)
+            return share
+
+        if self._sun.remembers and (keep or self._texels):
+            self._points = self._points or (np.array(point), np.array(face))
+            share = self._sun.remembered(tested, [time_s], *self._points)
+        else:
+            # Every column at every step would fill the memory.
+            share = tested()
         if time_s in self._texels:
             share = dr.concat([share, type(share)(aligned(self._texels[time_s] / np.float32(_WHOLE)))])
-        dr.eval(share)
+            dr.eval(share)
         if keep and time_s < _DAY_S:
             self._known[key] = share
         return share
