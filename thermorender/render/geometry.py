@@ -119,8 +119,13 @@ class Geometry:
         """Return (Hit of rays, unit normal of what they meet, Vector3f); inactive rays miss. Without `leaves` they pass
         all crowns."""
         found = self.caster.ray_intersect_preliminary(ray, active=active)
-        surface = found.compute_surface_interaction(ray, self.mi.RayFlags.Minimal, active)
-        hit, normal = self.hit_of(found), self.mi.Vector3f(surface.n)
+        hit = self.hit_of(found)
+        if self._copies is None:
+            normal = self.mi.Vector3f(*self.normals.at(hit.face, hit.valid))
+        else:
+            # Copies are turned. Mitsuba's own normals need a call for every shape, which thousands of objects are.
+            surface = found.compute_surface_interaction(ray, self.mi.RayFlags.Minimal, active)
+            normal = self.mi.Vector3f(surface.n)
         if self.crowns is None or not leaves:
             return hit, normal
         flight, side = self.crowns.drawn(ray, hit.distance, active)

@@ -51,16 +51,16 @@ class Rectangles:
 def boxes(surfaces: Sequence[Surface]) -> Floats:
     """Return the corners of boxes round the connected parts of surfaces, (n, 8, 3) [m]."""
     # Leaves thinner than a pixel are many in each, so that its rays find them as they find a texture.
-    whole, count = list[tuple[Floats, NDArray[np.integer]]](), 0
-    for surface in surfaces:
-        if surface.instances is None:
-            vertices, _, part = connected(surface)
-            order = np.argsort(part, kind="stable")
-            whole.append((vertices[order], part[order] + count))
-            count = int(whole[-1][1].max(initial=count - 1)) + 1
-    if not count:
+    solid = [surface for surface in surfaces if surface.instances is None]
+    if not solid:
         return np.empty((0, 8, 3))
-    vertices, part = (np.concatenate(values) for values in zip(*whole, strict=True))
+    sizes = [len(surface.vertices) for surface in solid]
+    # With their surface's number, since surfaces are not connected; all at once, since a scene may have thousands.
+    placed = np.column_stack([np.repeat(np.arange(len(solid)), sizes), np.concatenate([s.vertices for s in solid])])
+    faces = [surface.faces + start for surface, start in zip(solid, np.cumsum([0, *sizes]), strict=False)]
+    placed, _, part = _connected(placed, np.concatenate(faces))
+    order = np.argsort(part, kind="stable")
+    vertices, part, count = placed[order, 1:], part[order], int(part.max()) + 1
     first = np.flatnonzero(np.diff(part, prepend=-1))
     middle = np.add.reduceat(vertices, first) / np.bincount(part)[:, None]
     offset = vertices - middle[part]
@@ -85,11 +85,20 @@ def boxes(surfaces: Sequence[Surface]) -> Floats:
 def connected(surface: Surface) -> tuple[Floats, NDArray[np.integer], NDArray[np.integer]]:
     """Return (unique vertices (V, 3), faces (F, 3), connected part of each vertex (V,)); edges of the texture
     connect."""
+    return _connected(np.asarray(surface.vertices, np.float64), surface.faces)
+
+
+def _connected(vertices: Floats, faces: NDArray[np.integer]) -> tuple[Floats, NDArray[np.integer], NDArray[np.integer]]:
+    """As `connected`, of vertices of any dimension."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    vertices, index = np.unique(np.asarray(surface.vertices, np.float64), axis=0, return_inverse=True)
-    faces = index.reshape(-1)[surface.faces]
+    # As np.unique of rows, in a third of the time.
+    order = np.lexsort(vertices.T[::-1])
+    vertices, index = vertices[order], np.empty(len(order), np.int64)
+    first = np.concatenate([[True], (vertices[1:] != vertices[:-1]).any(axis=1)])
+    index[order] = np.cumsum(first) - 1
+    vertices, faces = vertices[first], index[faces]
     sides = np.concatenate([faces[:, :2], faces[:, 1:]]).T
     links = coo_array((np.ones(sides.shape[1], np.int8), sides), shape=(len(vertices),) * 2)
     return vertices, faces, connected_components(links, directed=False)[1]
