@@ -31,8 +31,8 @@ _RAYS, _MORE, _SAMPLES = 128, 4, 16
 _ANGLES, _HEIGHTS_M = (5.0, 90.0), (25.0, 250.0)
 
 
-def run(views=40, seed=0, progress=None, device="auto"):
-    """Return {views: [{scene, hour_h, angle_deg, height_m, stated_mk, true_mk}], machine, versions}.
+def run(views=40, seed=0, known=(), keep=None, progress=None, device="auto"):
+    """Return {seed, views: [{scene, hour_h, angle_deg, height_m, stated_mk, true_mk}], machine, versions}.
 
     Parameters
     ----------
@@ -40,23 +40,32 @@ def run(views=40, seed=0, progress=None, device="auto"):
         In all, over three scenes and an import at three hours each.
     seed : int
         Of the views.
+    known : sequence of such views
+        Of an earlier run of this seed, which are not measured again.
+    keep : callable, optional
+        Called with what is returned, after each scene and hour.
     progress : callable, optional
         Called with (step, share done).
     """
-    random, found = np.random.default_rng(seed), []
+    # In the order of the views: five numbers each, whether a view is known or not.
+    drawn, found = iter(np.random.default_rng(seed).random((views, 5))), list(known)
+    done = {(view["scene"], view["hour_h"]) for view in found}
     with tempfile.TemporaryDirectory() as folder:
         for number, scene in enumerate(_scenes(Path(folder))):
             counts = [len(part) for part in np.array_split(np.arange(views), 4 * len(HOURS))]
-            like = None
             for turn, hour in enumerate(HOURS):
+                places = [next(drawn) for _ in range(counts[number * len(HOURS) + turn])]
+                if (scene.name, hour) in done:
+                    continue
                 if progress:
                     progress(f"{scene.name}, {hour:+d} h", (number + turn / len(HOURS)) / 4)
                 now = scene.with_temperature("balance").at(scene.time + np.timedelta64(hour, "h")) if hour else scene
                 renderer = renderer_of(now, device)
                 more = {"rays": _MORE * _RAYS, "samples": _SAMPLES, "seed": 1}
                 like = Renderer(renderer.scene, quality="high", device=device, **more)
-                for _ in range(counts[number * len(HOURS) + turn]):
-                    found.append({"scene": scene.name, "hour_h": hour} | _view(renderer, like, random))
+                found += [{"scene": scene.name, "hour_h": hour} | _view(renderer, like, place) for place in places]
+                if keep:
+                    keep({"seed": seed, "views": found, "machine": machine(), "versions": versions()})
     return {"seed": seed, "views": found, "machine": machine(), "versions": versions()}
 
 
@@ -71,12 +80,13 @@ def _scenes(folder):
     yield scene.with_objects({each.name: "balance" for each in scene.spec.objects})
 
 
-def _view(renderer, reference, random):
-    """Stated and true error of a drawn view [mK]."""
+def _view(renderer, reference, place):
+    """Stated and true error of a view [mK], from where five numbers in 0…1 place it."""
     reach = 0.3 * float(np.ptp(renderer.scene.main_surface.vertices[:, 0]))
-    angle, height = random.uniform(*_ANGLES), np.exp(random.uniform(*np.log(_HEIGHTS_M)))
-    east, north = random.uniform(-reach, reach, 2)
-    at = renderer.scene.pose(east, north, height, yaw_deg=random.uniform(0.0, 360.0), pitch_deg=-angle)
+    bounds = np.array([_ANGLES, np.log(_HEIGHTS_M), (-reach, reach), (-reach, reach), (0.0, 360.0)]).T
+    angle, height, east, north, yaw = (bounds[0] + (bounds[1] - bounds[0]) * place).tolist()
+    height = float(np.exp(height))
+    at = renderer.scene.pose(east, north, height, yaw_deg=yaw, pitch_deg=-angle)
     frame = renderer.frame(at)
     surface = (frame.truth["mask"] & SURFACE) > 0
     error = (frame.radiance.astype(float) - reference.frame(at).radiance)[surface]
