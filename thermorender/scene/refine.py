@@ -308,7 +308,7 @@ def _allowed_alike(corner: _Floats, longest: _Floats, own: float, bodies: _Bodie
         near = near[(low[1][near] <= body.high[1] + reach) & (high[1][near] >= body.low[1] - reach)]
         apart = np.maximum(np.maximum(body.low[:, None] - high[:, near], low[:, near] - body.high[:, None]), 0.0)
         edge = np.maximum(body.edge, _GROWTH * np.sqrt(np.einsum("kf,kf->f", apart, apart)))
-        fine = np.minimum(longest, limit)[near] <= edge
+        fine = np.minimum(longest[near], limit[near]) <= edge
         near, edge = near[~fine], edge[~fine]
         if not len(near):
             continue
