@@ -121,6 +121,18 @@ def test_an_exact_edit_tests_for_the_sun_where_its_columns_or_instants_moved_and
     assert moves or kept[0] == kept[1]
 
 
+@pytest.mark.parametrize("hours", [-2, 1])
+def test_an_edit_of_the_hour_of_even_ground_equals_a_fresh_run(tmp_path, hours):
+    """The columns are the same at both hours, but are tested at other times: a share of all is none of faces alone."""
+    scene = load_scene(write_balance(tmp_path / "even", WEATHER, height=np.zeros((8, 8))))
+    made = tr.Renderer(scene, rays=4, quality="fast", edits=True)
+    later = scene.at(scene.time + np.timedelta64(hours, "h"))
+    (fresh,) = heat.solved(later, [later.time])
+    exact = tr.Renderer(later, rays=4, quality="fast", like=made, edits=True)
+    for found in (exact, made.preview_for(later)):
+        np.testing.assert_array_equal(kelvin(found.scene), kelvin(fresh))
+
+
 def test_a_frame_of_a_preview_states_an_error_above_its_own_and_a_renderer_without_it_solves(yard, renderer):
     scene = EDITS["dark asphalt becomes light"](renderer.scene)
     made, exact = renderer.preview_for(scene), tr.Renderer(scene, rays=16, quality="fast", like=renderer)

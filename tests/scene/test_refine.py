@@ -65,7 +65,7 @@ def test_ground_beside_many_small_objects_gains_at_most_the_stated_number_of_tri
     small = [scene_object(f"o{k}", [0.05, 0.05, 0.05], [k % 10 - 5.0, k // 10 - 4.0, 0.02], shape="disc")
              for k in range(80)]  # fmt: skip
     plain = tr.load_scene(write_terrain(tmp_path / "plain", height=np.zeros((16, 16)))).surfaces[0]
-    most = 6000
+    most = 9000
     monkeypatch.setattr(refine, "_MOST_BESIDE", most)
     scene = tr.load_scene(write_terrain(tmp_path / "many", height=np.zeros((16, 16)), extra="\n".join(small)))
     assert len(plain.faces) < len(scene.surfaces[0].faces) < len(plain.faces) + 1.1 * most
@@ -73,6 +73,18 @@ def test_ground_beside_many_small_objects_gains_at_most_the_stated_number_of_tri
     monkeypatch.setattr(refine, "_MOST_BESIDE", 1 << 30)
     free = tr.load_scene(write_terrain(tmp_path / "free", height=np.zeros((16, 16)), extra="\n".join(small)))
     assert len(free.surfaces[0].faces) > len(plain.faces) + 3 * most
+
+
+def test_an_object_far_from_others_does_not_coarsen_the_ground_beside_them(tmp_path, monkeypatch):
+    small = [scene_object(f"o{k}", [0.05, 0.05, 0.05], [k % 10 * 0.5 - 4.0, k // 10 * 0.5 - 4.0, 0.02], shape="disc")
+             for k in range(80)]  # fmt: skip
+    far = scene_object("far", [0.05, 0.05, 0.05], [29.0, 29.0, 0.02], shape="disc")
+    monkeypatch.setattr(refine, "_MOST_BESIDE", 8000)
+    few, more = (
+        tr.load_scene(write_terrain(tmp_path / name, height=np.zeros((64, 64)), extra="\n".join(extra))).surfaces[0]
+        for name, extra in (("few", small), ("more", [*small, far]))
+    )
+    assert len(few.faces) <= len(more.faces)
 
 
 def shown(surface, up):

@@ -85,9 +85,10 @@ def refined(
     too large. What is only `beside` the terrain refines it and is not returned.
     """
     least = _least_edge(objects)
-    near = max(least, _least_edge_beside(terrain, (*objects, *beside)))
-    each = [_body(item, max(_EDGE_SHARE * _extent(item), near)) for item in (*objects, *beside)]
-    bodies, solid = _Bodies(each), _Bodies(each[: len(objects)])
+    near = _least_edge_beside(terrain, (*objects, *beside))
+    each = [_body(item, max(_EDGE_SHARE * _extent(item), least)) for item in (*objects, *beside)]
+    solid = _Bodies(each[: len(objects)])
+    bodies = _Bodies([replace(body, edge=max(body.edge, near)) for body in each])
     return [_finer(surface, np.inf, bodies) for surface in terrain], [
         _finer(item, max(own_share * _extent(item), least), solid) for item in objects
     ]
@@ -195,20 +196,25 @@ def _least_edge_beside(terrain: Sequence[Surface], bodies: Sequence[Surface]) ->
     At a distance r from a box of perimeter P in plan, edges of e + r/2 allow an area of (P + 2πr) dr to be cut into
     triangles of about e², up to the ground's typical edge, or half way to the next body.
     """
-    if not bodies or not terrain:
+    bodies = [item for item in bodies if _extent(item) > 0.0]
+    longest = [_longest(item.vertices[item.faces]) for item in terrain if len(item.faces)]
+    if not bodies or not longest:
         return 0.0
-    typical = float(np.median(np.concatenate([_longest(item.vertices[item.faces]) for item in terrain])))
+    typical = float(np.median(np.concatenate(longest)))
     own = np.array([_EDGE_SHARE * _extent(item) for item in bodies])
     around = 2.0 * np.array([np.ptp(item.vertices[:, :2], axis=0).sum() for item in bodies])
-    place = np.concatenate([item.vertices[:, :2] for item in bodies])
-    area = float(np.prod(np.ptp(place, axis=0)))
-    between = _GROWTH * np.sqrt(area / (np.pi * len(bodies)))
+    # Where edges reach the typical one; bodies within a square of this side share it.
+    side = typical / _GROWTH
+    square = np.array([np.floor(item.vertices[:, :2].mean(axis=0) / side) for item in bodies])
+    _, number, count = np.unique(square, axis=0, return_inverse=True, return_counts=True)
+    area = side**2 / count[number.reshape(-1)]
+    between = _GROWTH * np.sqrt(area / np.pi)
 
     def added(edge: float) -> float:
         least = np.minimum(np.maximum(own, edge), typical)
         most = np.minimum(np.maximum(between, least), typical)
         rows = around / _GROWTH * (1.0 / least - 1.0 / most) + 2.0 * np.pi / _GROWTH**2 * np.log(most / least)
-        return _PARTS_BESIDE * float((rows + area / len(bodies) * (most**-2 - typical**-2)).sum())
+        return _PARTS_BESIDE * float((rows + area * (most**-2 - typical**-2)).sum())
 
     return _least(added, _MOST_BESIDE, own.min(), typical)
 

@@ -108,7 +108,8 @@ class SunShares:
         self._known: dict[int, Jit] = {}
         self._ends: list[tuple[float, Jit | None]] = []
         self._none: Any = None
-        self._points: tuple[NDArray[Any], NDArray[Any]] | None = None
+        # By whether the faces' columns alone are tested: the points and faces that are.
+        self._points = dict[bool, tuple[NDArray[Any], NDArray[Any]]]()
 
     def step(self, columns: "_Columns", at_s: float, seconds: float, keep: bool) -> None:
         """Test at both ends of a step of `seconds` from `at_s`. With `keep`, the share of a day before serves again:
@@ -146,8 +147,10 @@ class SunShares:
             return share
 
         if self._sun.remembers and (keep or self._texels):
-            self._points = self._points or (np.array(point), np.array(face))
-            share = self._sun.remembered(tested, [time_s], *self._points)
+            alone = time_s in self._texels
+            if alone not in self._points:
+                self._points[alone] = np.array(point), np.array(face)
+            share = self._sun.remembered(tested, [time_s], *self._points[alone])
         else:
             # Every column at every step would fill the memory.
             share = tested()

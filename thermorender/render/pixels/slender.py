@@ -52,9 +52,9 @@ def boxes(surfaces: Sequence[Surface]) -> Floats:
     """Return the corners of boxes round the connected parts of surfaces, (n, 8, 3) [m]."""
     # Leaves thinner than a pixel are many in each, so that its rays find them as they find a texture.
     solid = [surface for surface in surfaces if surface.instances is None]
-    if not solid:
-        return np.empty((0, 8, 3))
     sizes = [len(surface.vertices) for surface in solid]
+    if not sum(sizes):
+        return np.empty((0, 8, 3))
     # With their surface's number, since surfaces are not connected; all at once, since a scene may have thousands.
     placed = np.column_stack([np.repeat(np.arange(len(solid)), sizes), np.concatenate([s.vertices for s in solid])])
     faces = [surface.faces + start for surface, start in zip(solid, np.cumsum([0, *sizes]), strict=False)]
