@@ -93,7 +93,7 @@ def simulations(monkeypatch):
     def declared_weather(spec, latitude_deg, longitude_deg, altitude_m):
         return StandIn(spec.time + np.timedelta64(3600, "s") * np.arange(-120, 25), longitude_deg)
 
-    def solved(scene, times, geometry=None, progress=None, records=None):
+    def solved(scene, times, geometry=None, progress=None, records=None, known=None):
         assert scene.balanced and all(isinstance(time, np.datetime64) for time in times)
         done.append(list(times))
         if progress:
