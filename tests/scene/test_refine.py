@@ -65,7 +65,7 @@ def test_ground_beside_many_small_objects_gains_at_most_the_stated_number_of_tri
     small = [scene_object(f"o{k}", [0.05, 0.05, 0.05], [k % 10 - 5.0, k // 10 - 4.0, 0.02], shape="disc")
              for k in range(80)]  # fmt: skip
     plain = tr.load_scene(write_terrain(tmp_path / "plain", height=np.zeros((16, 16)))).surfaces[0]
-    most = 9000
+    most = 4000
     monkeypatch.setattr(refine, "_MOST_BESIDE", most)
     scene = tr.load_scene(write_terrain(tmp_path / "many", height=np.zeros((16, 16)), extra="\n".join(small)))
     assert len(plain.faces) < len(scene.surfaces[0].faces) < len(plain.faces) + 1.1 * most

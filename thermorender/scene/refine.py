@@ -58,10 +58,10 @@ class _Body:
 
 
 class _Bodies:
-    """Bodies, found by their boxes."""
+    """Bodies, found by their boxes. No edge beside them needs to be shorter than `least` [m]."""
 
-    def __init__(self, each: Sequence[_Body]) -> None:
-        self.each = each
+    def __init__(self, each: Sequence[_Body], least: float = 0.0) -> None:
+        self.each, self.least = each, least
         self._low, self._high = (
             np.array([getattr(body, name) for body in each]).reshape(-1, 3) for name in ("low", "high")
         )
@@ -87,8 +87,7 @@ def refined(
     least = _least_edge(objects)
     near = _least_edge_beside(terrain, (*objects, *beside))
     each = [_body(item, max(_EDGE_SHARE * _extent(item), least)) for item in (*objects, *beside)]
-    solid = _Bodies(each[: len(objects)])
-    bodies = _Bodies([replace(body, edge=max(body.edge, near)) for body in each])
+    solid, bodies = _Bodies(each[: len(objects)]), _Bodies(each, near)
     return [_finer(surface, np.inf, bodies) for surface in terrain], [
         _finer(item, max(own_share * _extent(item), least), solid) for item in objects
     ]
@@ -313,7 +312,7 @@ def _allowed_alike(corner: _Floats, longest: _Floats, own: float, bodies: _Bodie
         near = order[first : east.searchsorted(body.high[0] + reach, "right")]
         near = near[(low[1][near] <= body.high[1] + reach) & (high[1][near] >= body.low[1] - reach)]
         apart = np.maximum(np.maximum(body.low[:, None] - high[:, near], low[:, near] - body.high[:, None]), 0.0)
-        edge = np.maximum(body.edge, _GROWTH * np.sqrt(np.einsum("kf,kf->f", apart, apart)))
+        edge = np.maximum(max(body.edge, bodies.least), _GROWTH * np.sqrt(np.einsum("kf,kf->f", apart, apart)))
         fine = np.minimum(longest[near], limit[near]) <= edge
         near, edge = near[~fine], edge[~fine]
         if not len(near):

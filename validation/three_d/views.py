@@ -50,6 +50,10 @@ def run(views=40, seed=0, known=(), keep=None, progress=None, device="auto"):
     # In the order of the views: five numbers each, whether a view is known or not.
     drawn, found = iter(np.random.default_rng(seed).random((views, 5))), list(known)
     done = {(view["scene"], view["hour_h"]) for view in found}
+
+    def record():
+        return {"seed": seed, "views": found, "machine": machine(), "versions": versions()}
+
     with tempfile.TemporaryDirectory() as folder:
         for number, scene in enumerate(_scenes(Path(folder))):
             counts = [len(part) for part in np.array_split(np.arange(views), 4 * len(HOURS))]
@@ -65,8 +69,8 @@ def run(views=40, seed=0, known=(), keep=None, progress=None, device="auto"):
                 like = Renderer(renderer.scene, quality="high", device=device, **more)
                 found += [{"scene": scene.name, "hour_h": hour} | _view(renderer, like, place) for place in places]
                 if keep:
-                    keep({"seed": seed, "views": found, "machine": machine(), "versions": versions()})
-    return {"seed": seed, "views": found, "machine": machine(), "versions": versions()}
+                    keep(record())
+    return record()
 
 
 def _scenes(folder):
