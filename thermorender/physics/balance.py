@@ -124,12 +124,12 @@ def step(
     )
     rain = (1.0 - _GAMMA) * first.rain_kg_m2_s + _GAMMA * second.rain_kg_m2_s
     film = xp.minimum(xp.maximum(state.film + seconds * (rain - evaporated), 0.0), ground.held)
-    warmed = [_warmed(*each) for each in zip(state.layers_k, state.remainder_k, changes, strict=True)]
+    changed = [_summed(*each) for each in zip(state.layers_k, state.remainder_k, changes, strict=True)]
     liquid, molten = state.liquid, 0.0 * film
     if ground.water is not None:
-        warmed, liquid, molten = _melted(xp, warmed, liquid, ground)
+        changed, liquid, molten = _melted(xp, changed, liquid, ground)
     means = Fluxes(net_radiation, sensible, latent, into_ground, evaporated, molten / seconds)
-    layers, remainder = zip(*warmed, strict=True)
+    layers, remainder = zip(*changed, strict=True)
     return State(surface, list(layers), film, liquid, list(remainder)), means
 
 
@@ -138,7 +138,7 @@ def stage_times(seconds: float) -> tuple[float, float]:
     return _GAMMA * seconds, seconds
 
 
-def _warmed(kelvin: Any, remainder: Any, change: Any) -> tuple[Any, Any]:
+def _summed(kelvin: Any, remainder: Any, change: Any) -> tuple[Any, Any]:
     """(temperature, remainder) of a layer after a change; the remainder is the rounding error of the sum."""
     change = change + remainder
     after = kelvin + change
@@ -174,7 +174,7 @@ def _stage(
     response = top_response(drops, sources, capacity, ground.conductance, seconds)
     # Conductance from the surface into the column: through the skin and the first half layer.
     series = 1.0 / (response.beta + 1.0 / ground.conductance[0])
-    before_k, warmed = layers[0], response.alpha + remainder[0]
+    before_k, risen = layers[0], response.alpha + remainder[0]
     density = turbulence.air_density(forcing.pressure_pa, forcing.air_k)
     saturation, _ = turbulence.saturation_vapour(xp, forcing.air_k)
     deficit = saturation - forcing.vapour_pa
@@ -202,7 +202,7 @@ def _stage(
         radiation, sensible = gained - cube * t, (h + rain) * warmer
         # In stable air the transfer coefficient falls as the surface cools. A lower bound keeps the derivative's sign.
         rate = 4.0 * cube + xp.maximum(h + bend * warmer + slope, 0.25 * h) + rain + series
-        conducted = series * ((t - before_k) - warmed)
+        conducted = series * ((t - before_k) - risen)
         return radiation, sensible, latent, heat, conducted, radiation - sensible - latent - conducted, rate
 
     def move(excess: Any, rate: Any) -> Any:
@@ -241,7 +241,7 @@ def _melted(
         after = now + xp.minimum(xp.maximum(molten, -now), ice)
         # A melt that is lost in rounding `after` leaves its heat in the layer.
         molten = after - now
-        warm.append(_warmed(t, more, -molten * FUSION / capacity))
+        warm.append(_summed(t, more, -molten * FUSION / capacity))
         wet.append(xp.minimum(after, room))
         total = total + molten
     return warm, wet, total
