@@ -483,7 +483,7 @@ class Renderer:
             for (shape, outgoing), own in zip(leaving, poses, strict=True)
         ]
         parts = parts_of(self.scene, self._geometry, [shape for shape, _ in leaving[1:]], placed)
-        return Tracer(layers, rays, medium, self.plan, partial(slender.rectangles, parts, pose, rays.camera))
+        return Tracer(layers, rays, medium, self.plan, partial(slender.rectangles, parts, pose, rays.camera), pose)
 
 
 class _CamerasRays:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from thermorender.render.arrays import Floats, Jit, Mitsuba, aligned
 from thermorender.render.geometry import Geometry, frames, of_faces
 from thermorender.render.light import contacts, leaves
+from thermorender.render.sobol import sobol
 from thermorender.scene.surface import Surface
 
 # A cached Transport of another version is not used: increase this when the result of `trace` changes.
@@ -195,12 +196,8 @@ class FaceRays:
     """
 
     def __init__(self, geometry: Geometry, half: int) -> None:
-        from scipy.stats import qmc
-
         self._geometry, self._mi, self._rays = geometry, geometry.mi, 2 * half
-        # SciPy requires a power of two; the first 2 × half points are used.
-        points = qmc.Sobol(4, scramble=False).random_base2((2 * half - 1).bit_length())[: 2 * half]
-        self._base = [self._mi.UInt32(aligned(column * 2.0**24, np.uint32)) for column in points.T]
+        self._base = [self._mi.UInt32(aligned(column * 2.0**24, np.uint32)) for column in sobol(4, 2 * half).T]
         angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 64 * _CHORDS)
         share = 0.5 + (angle + np.sin(angle) * np.cos(angle)) / np.pi
         self._chord = self._mi.Float(aligned(np.interp(np.linspace(0.0, 1.0, _CHORDS + 1), share, angle)))

@@ -19,6 +19,7 @@ from thermorender.render.layers import TexelArrays
 from thermorender.render.light.environment import Environment
 from thermorender.render.light.radiosity import SKY_BINS, background_code
 from thermorender.render.plan import Plan
+from thermorender.render.sobol import sobol
 
 # Longest walk, and bounces between looks whether any goes on.
 _LONGEST, _LOOK = 256, 4
@@ -60,15 +61,12 @@ class Walks:
     def incident(self, point: Jit, face: Jit, normal: Jit, walks: int) -> tuple[Floats, NDArray[np.uint32]]:
         """Return (radiance that falls on n points, of a node over its `share` [W m⁻² sr⁻¹]; node of each walk), (n,
         walks) each."""
-        from scipy.stats import qmc
-
         mi, geometry = self._geometry.mi, self._geometry
         count = len(face)
         index = dr.arange(mi.UInt32, count * walks)
         row, number = index // walks, index % walks
-        base = qmc.Sobol(3, scramble=False).random_base2(walks.bit_length() - 1)
         shifts = (*mi.sample_tea_32(row, _SEED, 8), mi.sample_tea_32(row, _SEED + 1, 8)[0])
-        columns = (mi.UInt32(aligned(column * 2.0**24, np.uint32)) for column in base.T)
+        columns = (mi.UInt32(aligned(column * 2.0**24, np.uint32)) for column in sobol(3, walks).T)
         u = [
             mi.Float(dr.gather(mi.UInt32, column, number) ^ (shift >> 8)) * 2.0**-24
             for column, shift in zip(columns, shifts, strict=True)

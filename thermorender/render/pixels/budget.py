@@ -31,6 +31,7 @@ from thermorender.render.pixels.sampling import STAGES, CameraRays, contrast, ed
 from thermorender.render.pixels.tracer import SampledImage, Tracer
 from thermorender.render.plan import Plan
 from thermorender.render.reflection import mirrors
+from thermorender.render.sobol import sobol
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.render.truth import truth
 
@@ -259,11 +260,9 @@ def _differences(
 ) -> tuple[Floats, Floats]:
     """Radiance that leaves the surfaces in pixels minus that of random walks, by two independent estimates, (n,) each
     [W m⁻² sr⁻¹]. `pixels` are numbers of rays. Each estimate has its own points in a pixel, and its own walks."""
-    from scipy.stats import qmc
-
     geometry, spectrum, texels, count = layer.geometry, baked.plan.spectrum, baked.device.texels[0], len(pixels)
     mi, points = geometry.mi, 2 * _POINTS
-    place = qmc.Sobol(2, scramble=False).random_base2(points.bit_length() - 1) + 0.5 / points
+    place = sobol(2, points) + 0.5 / points
     right, down = (mi.Float(aligned(np.tile(axis, count))) for axis in place.T)
     ray = view_ray(mi, *layer.view, *rays.slopes(right, down, mi.UInt32(aligned(np.repeat(pixels, points), np.uint32))))
     hit, normal = geometry.cast_with_normal(ray)

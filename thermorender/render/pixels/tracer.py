@@ -87,12 +87,12 @@ class SampledImage:
 
 class Tracer:
     """Rays from one pose through a medium into the layers of a scene, the static one first. `slender` returns the
-    Rectangles of details thinner than a pixel. With the `pose` (4, 4) of a view without moving objects, its first rays
-    are cast once."""
+    Rectangles of details thinner than a pixel. In a view without moving objects, the first rays of a `pose` (4, 4) are
+    cast once."""
 
     def __init__(
         self, layers: Sequence[Layer], rays: CameraRays, medium: Vacuum | AirView, plan: Plan,
-        slender: Callable[[], Rectangles], pose: NDArray[Any] | None = None,
+        slender: Callable[[], Rectangles], pose: NDArray[Any],
     ) -> None:  # fmt: skip
         self._slender = slender
         # The crowns of the view by tiles of the image; None without.
@@ -100,7 +100,7 @@ class Tracer:
         if self.crowns:
             # Here, since nothing can be evaluated in a branch of a kernel.
             layers[0].outgoing.patches(layers[0].geometry)
-        self._place = None if pose is None or len(layers) > 1 else (layers[0].geometry, pose.tobytes())
+        self._place = None if len(layers) > 1 else (layers[0].geometry, pose.tobytes())
         self._layers, self.rays, self._medium = layers, rays, medium
         copies = [isinstance(each.instances, Instances) for layer in layers for each in layer.geometry.surfaces]
         self._copies = layers[0].geometry.mi.Float(aligned(copies)) if any(copies) else None
@@ -108,8 +108,8 @@ class Tracer:
         self._soft = self._copies is not None or self.crowns is not None
         sampling, self._mi = plan.sampling, layers[0].geometry.mi
         self._samples = sampling.samples
-        # Read here, since reading waits for all kernels that run.
-        self._up = np.array([float(value[0]) for value in layers[0].view[0][2]])
+        # As the kernels have it, in single precision.
+        self._up = pose[2, :3].astype(np.float32).astype(np.float64)
         strong = usual_step(sampling.edge_mk * plan.radiance_per_mk, sampling.samples)
         self._strong = dr.opaque(self._mi.Float, strong)
         self._reading = Reading(self._mi, sampling.taps, max(sampling.taps, PLACES), 1.0 / sampling.samples)
