@@ -78,6 +78,29 @@ def test_previewed_temperatures_err_less_than_is_stated_and_a_fiftieth_of_the_ch
     assert rms < 0.02 * np.sqrt((change**2).mean()) and found.rms_k < 0.3
 
 
+def test_edits_of_many_mixtures_under_air_are_previewed(tmp_path):
+    """More than 128 materials, whose numbers twice do not fit into eight bits, and a sun that the air shows."""
+    scene, library = load_scene(write_balance(tmp_path / "scene", WEATHER)), load_library()
+    grass, sand = library["grass_green"], library["sand_quartz"]
+    shares = np.linspace(0.1, 0.9, 200)
+
+    def of(sand):
+        return [mix([(grass, share), (sand, 1.0 - share)]) for share in shares]
+
+    surface = scene.surfaces[0]
+    number = np.resize(np.arange(len(shares), dtype=np.uint8), surface.material.shape)
+    before = scene.with_surfaces((replace(surface, material=number),), of(sand)).with_temperature("balance")
+    before = before.with_air("midlatitude-summer")
+    made = tr.Renderer(before, rays=4, quality="fast", edits=True)
+    light = replace(sand, name="sand_2", solar_absorptance=0.9)
+    after = before.with_surfaces(None, of(light)).with_temperature("balance")
+    found, (exact,) = made._heat.preview(after), heat.solved(after, [after.time])
+    error, change = kelvin(found.scene) - kelvin(exact), kelvin(exact) - kelvin(made.scene)
+    rms = np.sqrt((error**2).mean())
+    # Few texels of each material are drawn, so that the stated error is large.
+    assert rms < 0.02 * np.sqrt((change**2).mean()) and rms < found.rms_k
+
+
 def turned(scene):
     surface = replace(scene.surfaces[0], material=scene.surfaces[0].material[::-1])
     return scene.with_surfaces((surface,), scene.materials).with_temperature("balance")

@@ -37,8 +37,9 @@ _LEAST_W_M2 = 0.05
 _PAST_S = 2 * 3600.0
 # Open columns settle in this time before the start [s], in steps of this length: it is their change that counts.
 _SETTLES_S, _SETTLE_STEP_S = 3 * 86400, 7200.0
-# What an edit may change that is not light on the ground.
-_MAY_CHANGE = {"materials", "surfaces", "temperature_state", "spec_weather", "noted_weather"}
+# What an edit may change that is not light on the ground. The sun of a scene with air is stated once it is solved; it
+# follows from what is compared.
+_MAY_CHANGE = {"materials", "surfaces", "temperature_state", "spec_weather", "noted_weather", "sun"}
 # Share of the change by the light that counts as its error; factors on the error of drawn texels for that of all of
 # them, and for the largest. In the village and on the heath they lie above the true ones.
 _OF_LIGHT, _SURE, _BEYOND = 0.5, 2.0, 3.0

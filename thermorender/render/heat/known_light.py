@@ -149,7 +149,7 @@ class Recorder:
         drawn, at = self._texels[self._drawn], first[self._drawn]
         return Record(
             simulation.mi, simulation.parts, simulation.inside_k, simulation.start,
-            self._steps, drawn, simulation.material[drawn], face[at], table[at], self._light,
+            self._steps, drawn, simulation.material[drawn].astype(np.int64), face[at], table[at], self._light,
             table, face.astype(np.int32), column[simulation.first], simulation.operator, simulation.face_material,
             np.asarray(np.searchsorted(simulation.of_faces.place, simulation.column)), simulation.sun.memory or {},
         )  # fmt: skip
