@@ -99,6 +99,12 @@ def test_edits_of_many_mixtures_under_air_are_previewed(tmp_path):
     rms = np.sqrt((error**2).mean())
     # Few texels of each material are drawn, so that the stated error is large.
     assert rms < 0.02 * np.sqrt((change**2).mean()) and rms < found.rms_k
+    # The light is previewed too: its spectral nodes stay.
+    shown = made.preview_for(after)
+    assert shown.plan.spectrum.label is made.plan.spectrum.label
+    pose = before.pose(0.0, 0.0, 40.0, pitch_deg=-90.0)
+    off = (shown.radiance(pose) - tr.Renderer(after, rays=4, quality="fast").radiance(pose)) / made.plan.radiance_per_mk
+    assert np.sqrt((off**2).mean()) < shown.baked.errors_mk["preview_rms"]
 
 
 def turned(scene):

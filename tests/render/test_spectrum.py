@@ -141,3 +141,27 @@ def test_kept_nodes_state_the_error_of_edited_materials_and_of_light_from_them(e
     assert largest_error_mk(found, edited, seen) <= found.nodes_mk * (1.0 + 1e-6)
     assert (found.nodes_mk > before.nodes_mk) == (edit in ("one coloured", "colder sky"))
     assert np.array_equal(found.label, before.label) and found.envelope is seen
+
+
+@pytest.mark.parametrize("edit", ["nothing", "a part", "warmer ground"])
+def test_kept_nodes_state_the_error_of_edited_mixtures(edit):
+    """Behind air: each part of a mixture is fitted, as in a new spectrum."""
+    materials, scene = mixtures(20), envelope((288.0, 300.0), [(20, 299.5)])
+    before = make_spectrum(materials, scene, TOLERANCE_MK, True)
+    stone, edited, seen = LIBRARY["granite"], list(materials), scene
+    if edit == "a part":
+        other = replace(stone, name="other", emissivity=np.clip(1.3 * stone.emissivity - 0.2, 0.05, 1.0))
+        edited = [
+            mix([(other if part is stone else part, share) for part, share in each.parts]) for each in edited[:-1]
+        ]
+        edited.append(materials[-1])
+    elif edit == "warmer ground":
+        seen = replace(scene, ground=(288.0, 315.0))
+    found = spectrum.kept_spectrum(before, materials, edited, seen)
+    assert np.array_equal(found.label, before.label) and np.array_equal(found.basis, before.basis)
+    assert largest_error_mk(found, edited, seen) <= found.nodes_mk * (1.0 + 1e-6)
+    if edit == "nothing":
+        np.testing.assert_array_equal(found.reflected, before.reflected)
+        assert found.nodes_mk == before.nodes_mk
+    # Mixtures that come or go have other parts.
+    assert spectrum.kept_spectrum(before, materials, [stone, stone], seen) is None

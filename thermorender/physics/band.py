@@ -91,8 +91,14 @@ class RadianceTable:
         The blackbody's radiance is exact at every entry. The ratio to it varies slowly with temperature: it is
         integrated at 257 temperatures and interpolated linearly between them.
         """
-        temperature, black, coarse, wavelength, share = _blackbody(float(coldest), float(warmest), lower_um, upper_um)
-        return cls(temperature, np.interp(temperature, coarse, share @ emissivity(wavelength)) * black)
+        temperature, black, *_ = _blackbody(float(coldest), float(warmest), lower_um, upper_um)
+        return cls(temperature, cls.ratio(emissivity, coldest, warmest, lower_um, upper_um) * black)
+
+    @staticmethod
+    def ratio(emissivity: Emissivity, coldest: float, warmest: float, lower_um: float, upper_um: float) -> Floats:
+        """Return the radiance of a material over that of a blackbody at the temperatures of `grid`."""
+        temperature, _, coarse, wavelength, share = _blackbody(float(coldest), float(warmest), lower_um, upper_um)
+        return np.interp(temperature, coarse, share @ emissivity(wavelength))
 
     @classmethod
     def grid(cls, coldest: float, warmest: float) -> Floats:
@@ -109,7 +115,7 @@ class RadianceTable:
         return np.interp(radiance, self.radiance, self.temperature, left=np.nan, right=np.nan)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=16)
 def _blackbody(coldest: float, warmest: float, lower_um: float, upper_um: float) -> tuple[Floats, ...]:
     """The values common to all materials: grid, its radiance, coarse temperatures, wavelengths, spectral shares."""
     temperature = RadianceTable.grid(coldest, warmest)

@@ -22,10 +22,9 @@ from numpy.typing import ArrayLike, NDArray
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import Mixture, spectra_of
-from thermorender.physics.band import Emissivity, RadianceTable, emitted_radiance, quadrature
+from thermorender.physics.band import Emissivity, RadianceTable, quadrature
 from thermorender.physics.planck import (
     Floats,
-    band_radiance,
     band_radiance_derivative,
     kelvin_per_radiance,
     spectral_radiance,
@@ -106,6 +105,7 @@ class Spectrum:
     nodes_mk: float
     channels_mk: float  # the same of the channels in radiance of surfaces, over all paths; 0 without air
     envelope: "Envelope"  # of the scene
+    unmixed: "Spectrum | None" = None  # of the parts of mixtures, as by `_pure`; None without mixtures
 
     @property
     def nodes(self) -> int:
@@ -150,14 +150,8 @@ class Spectrum:
             table = RadianceTable.of(emissivity, coldest, warmest, *band_um)
             return table.temperature, table.radiance[:, None]
         grid = RadianceTable.grid(coldest, warmest)
-        coarse = np.linspace(grid[0], grid[-1], 257)
         bands, band_of = np.unique(np.stack([air.lower_um, air.upper_um], axis=1), axis=0, return_inverse=True)
-        ratio = []
-        for band in bands:
-            black = band_radiance(coarse, *band)
-            # Near 0 K as in `RadianceTable.of`.
-            warm = coarse[black > 0.0]
-            ratio.append(np.interp(grid, warm, emitted_radiance(emissivity, warm, *band) / black[black > 0.0]))
+        ratio = [RadianceTable.ratio(emissivity, coldest, warmest, *band) for band in bands.tolist()]
         nodes = air.planck(grid) * np.stack(ratio, axis=1)[:, band_of.reshape(-1)]
         return grid, nodes @ self.basis.T
 
@@ -234,9 +228,7 @@ def make_spectrum(materials: Sequence[Material], envelope: Envelope, tolerance_m
     within a node and needs a third of the nodes."""
     points = Points.of(envelope.band_um, envelope.air)
     pure, shares = _pure(materials)
-    spectra = spectra_at(points, pure)
-    mixed = [(int(part), kelvin) for number, kelvin in envelope.objects for part in np.flatnonzero(shares[number])]
-    envelope = replace(envelope, objects=list(dict.fromkeys(mixed)))
+    spectra, envelope = spectra_at(points, pure), _of_pure(envelope, shares)
     case = _Case(points, spectra, envelope, envelope.paths())
     basis, solver, channels_mk = _channels(case, tolerance_mk)
     label = np.zeros(len(points.node), dtype=int)
@@ -255,10 +247,21 @@ def make_spectrum(materials: Sequence[Material], envelope: Envelope, tolerance_m
 def kept_spectrum(
     spectrum: Spectrum, before: Sequence[Material], materials: Sequence[Material], envelope: Envelope
 ) -> Spectrum | None:
-    """Return the Spectrum of other materials with the nodes and channels of `spectrum`, whatever their error; None for
-    mixtures."""
-    if any(isinstance(material, Mixture) for material in (*before, *materials)):
+    """Return the Spectrum of other materials with the nodes and channels of `spectrum`, whatever their error; None
+    where mixtures come or go."""
+    mixed = [any(isinstance(material, Mixture) for material in each) for each in (before, materials)]
+    if not any(mixed):
+        return _kept(spectrum, before, materials, envelope)
+    if not all(mixed) or spectrum.unmixed is None:
         return None
+    (old, _), (new, shares) = _pure(before), _pure(materials)
+    return _mixed(_kept(spectrum.unmixed, old, new, _of_pure(envelope, shares)), shares)
+
+
+def _kept(
+    spectrum: Spectrum, before: Sequence[Material], materials: Sequence[Material], envelope: Envelope
+) -> Spectrum:
+    """As `kept_spectrum`, without mixtures."""
     points, paths, channels_mk = spectrum.points, envelope.paths(), 0.0
     spectra, old = (spectra_at(points, each) for each in (materials, before))
     fits = spectrum.label, spectrum.basis, spectrum.solver
@@ -312,7 +315,14 @@ def _pure(materials: Sequence[Material]) -> tuple[list[Material], Floats]:
 def _mixed(spectrum: Spectrum, shares: Floats) -> Spectrum:
     """The Spectrum of mixtures from that of their parts."""
     reflected = np.einsum("mp,pkn->mkn", shares, spectrum.reflected)
-    return replace(spectrum, emissivity=shares @ spectrum.emissivity, reflected=reflected)
+    unmixed = None if len(shares) == shares.shape[1] and (shares == np.eye(len(shares))).all() else spectrum
+    return replace(spectrum, emissivity=shares @ spectrum.emissivity, reflected=reflected, unmixed=unmixed)
+
+
+def _of_pure(envelope: Envelope, shares: Floats) -> Envelope:
+    """An Envelope whose objects are of the parts of their materials."""
+    mixed = [(int(part), kelvin) for number, kelvin in envelope.objects for part in np.flatnonzero(shares[number])]
+    return replace(envelope, objects=list(dict.fromkeys(mixed)))
 
 
 class _Case:

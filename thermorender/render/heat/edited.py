@@ -89,20 +89,23 @@ class SolvedHeat:
             np.concatenate([getattr(surface, name).ravel() for surface in solved])
             for name in ("material", "temperature")
         )
-        square, most, moved = np.zeros(2), 0.0, np.zeros(len(record.known), np.float32)
+        square, most = np.zeros(2), 0.0
+        # Texels on faces, material after material.
+        texels = np.flatnonzero(record.column >= 0)
+        texels = texels[np.argsort(material[texels], kind="stable")]
+        ends = np.cumsum(np.bincount(material[texels], minlength=count))
         for number in materials:
             drawn = record.material == number
             fit = Fit(np.column_stack([record.own, received[record.face]])[drawn].astype(float), change[drawn])
-            texel = np.flatnonzero((material == number) & (record.column >= 0))
-            column = np.flatnonzero(np.bincount(record.column[texel]))
+            texel = texels[ends[number - 1] if number else 0 : ends[number]]
+            # Mixtures with a part in common may share a column, which changes with each of them in its own way.
+            column, of_texel = np.unique(record.column[texel], return_inverse=True)
             light = received[record.faces[column]]
-            if number not in edited:
-                some = np.abs(light).max(axis=1) > _LEAST_W_M2
-                column, light = column[some], light[some]
-            moved[:] = 0.0
-            for part in np.array_split(np.arange(len(column)), len(column) // _AT_ONCE + 1):
-                moved[column[part]] = fit(np.column_stack([record.known[column[part]], light[part]]))
-            found[texel] += moved[record.column[texel]]
+            lit = np.flatnonzero((np.abs(light).max(axis=1) > _LEAST_W_M2) | (number in edited))
+            moved = np.zeros(len(column), np.float32)
+            for part in np.array_split(lit, len(lit) // _AT_ONCE + 1):
+                moved[part] = fit(np.column_stack([record.known[column[part]], light[part]]))
+            found[texel] += moved[of_texel]
             error = _SURE * np.hypot(fit.residual, _OF_LIGHT * by_light[drawn])
             square += len(texel) * np.array([(error**2).mean(), (change[drawn] ** 2).mean()])
             most = max(most, _BEYOND * float(error.max()))
@@ -111,7 +114,7 @@ class SolvedHeat:
         made = scene.with_solved_temperatures(
             scene.time, self._covered(found), scatter_k=[one.scatter_k for one in solved if one.scatter_k is not None]
         )
-        return HeatPreview(made, float(np.sqrt(square[0] / (record.column >= 0).sum())), most)
+        return HeatPreview(made, float(np.sqrt(square[0] / len(texels))), most)
 
     def _covered(self, kelvin: NDArray[np.float32]) -> list[NDArray[np.float32]]:
         """Temperatures of the surfaces; texels without a face, which only blend, take the nearest's."""
