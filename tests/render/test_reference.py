@@ -137,3 +137,22 @@ def test_sheet_of_the_ground_is_seen_from_both_sides_as_in_frames(tmp_path):
         traced = reference.render(scene, pose, 256)
         assert (frame.truth["mask"] & BEHIND == BEHIND).all() == (up < 0.0)
         np.testing.assert_allclose(traced.mean(), frame.radiance.mean(), rtol=2e-3)
+
+
+def test_steep_ground_has_its_light_and_its_stated_error_from_any_height(tmp_path):
+    """Long rays end some millimetres from a face, where walks and paths would start inside of the ground."""
+    height = np.random.Generator(np.random.Philox(3)).random((24, 24)) * 3.0
+    scene = tr.load_scene(write_terrain(tmp_path / "s", height=height, sky=150.0)).with_material({1: 0.5, 2: 0.5})
+    means, noises, stated = [], [], []
+    for height_m in (300.0, 10_000.0):
+        # About 8 m of the ground, in pixels of 0.1 m.
+        focal = scene.camera.pixel_pitch_um * height_m / 100.0
+        own = scene.with_camera(replace(scene.camera, width=80, height=64, focal_length_mm=focal))
+        pose = tr.pose(0, 0, height_m, pitch_deg=-90)
+        first, second = (reference.render(own, pose, samples=256, seed=seed) / MILLIKELVIN for seed in (1, 2))
+        means.append(0.5 * (first + second).mean())
+        noises.append(np.std(first - second) / 2 / np.sqrt(first.size))
+        stated.append(tr.Renderer(own, rays=64).frame(pose).budget_mk["bake"])
+    assert abs(means[1] - means[0]) < 4.0 * np.hypot(*noises)
+    # The walks start from other points, so that both differ by their noise.
+    assert stated[1] == pytest.approx(stated[0], rel=0.2)

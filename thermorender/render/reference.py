@@ -35,9 +35,11 @@ from thermorender.trajectory.rotations import checked_pose
 VARIANTS = {"llvm_ad_mono": "llvm_ad_spectral", "cuda_ad_mono": "cuda_ad_spectral"}
 _NAMES = itertools.count()
 _SAMPLES_AT_ONCE = 64
-# Distance of the copies behind faces, relative to the largest coordinate or to the camera's distance; near cameras see
+# Distance of the copies behind faces, relative to the largest coordinate or to the length of the rays; short rays see
 # no more than this [m].
 _BEHIND, _MOST_BEHIND_M = 64.0 * 2.0**-24, 1e-3
+# Share of the camera's distance from the scene after which its rays start.
+_AHEAD = 0.99
 
 
 @dataclass
@@ -112,13 +114,16 @@ def mitsuba_scene(mi: Mitsuba, scene: Scene, pose: Floats, integrator: str, dept
     number = next(_NAMES)
     name, lens = f"thermal{number}", f"lens{number}"
     limits = box_of(scene)
+    # Hits of rays from far away are no nearer to a face than the rounding of their length.
+    eye = pose[:3, 3]
+    ahead_m = _AHEAD * float(np.linalg.norm(np.maximum(np.maximum(limits[0] - eye, eye - limits[1]), 0.0)))
     middle = float(limits[:, 2].mean())
     loaded = _Lent(texels=_texel_reader(mi, scene))
     outside = scene.sky_temperature, scene.surroundings_temperature
     mi.register_texture(name, _texture(mi, outside, middle, loaded))
     mi.register_bsdf(f"{name}-mirror", _mirror(mi, loaded))
     camera = scene.camera
-    _register_lens(mi, lens, camera, pose, loaded)
+    _register_lens(mi, lens, camera, pose, ahead_m, loaded)
     lower, upper = (1e3 * edge for edge in camera.band_um)
     parts: dict[str, Any] = {
         "type": "scene",
@@ -151,15 +156,16 @@ def mitsuba_scene(mi: Mitsuba, scene: Scene, pose: Floats, integrator: str, dept
     }
     mirrors = np.isin(np.arange(len(scene.materials)), directional(scene.materials))
     for number, surface in enumerate(scene.surfaces):
-        parts[f"s{number}"] = _mesh(mi, name, number, surface, pose, mirrors)
+        parts[f"s{number}"] = _mesh(mi, name, number, surface, eye, ahead_m, mirrors)
     world = mi.load_dict(parts)
     loaded.texels = loaded.slopes = None
     return world
 
 
-def _register_lens(mi: Mitsuba, name: str, camera: Camera, pose: Floats, loaded: _Lent) -> None:
+def _register_lens(mi: Mitsuba, name: str, camera: Camera, pose: Floats, ahead_m: float, loaded: _Lent) -> None:
     """Register the sensor: a camera's rays through its distortion and principal point, exact at the pixels' corners and
-    bilinear between them: within a pixel a lens is linear to 3e-4 of a pixel, up to k1 = −0.26."""
+    bilinear between them: within a pixel a lens is linear to 3e-4 of a pixel, up to k1 = −0.26. They start `ahead_m`
+    before the camera."""
     width, height = camera.width, camera.height
     place = np.stack(np.meshgrid(np.arange(width + 1.0), np.arange(height + 1.0)), axis=-1)
     loaded.slopes = mi.Float(aligned(camera.directions(place)))
@@ -185,7 +191,7 @@ def _register_lens(mi: Mitsuba, name: str, camera: Camera, pose: Floats, loaded:
             )
             slope = dr.lerp(near, far, down)
             direction = rotation @ dr.normalize(mi.Vector3f(slope.x, slope.y, 1.0))
-            return mi.Ray3f(origin, direction, time, wavelengths), weight
+            return mi.Ray3f(origin + ahead_m * direction, direction, time, wavelengths), weight
 
         def sample_ray_differential(
             self, time: Jit, wavelength_sample: Jit, position_sample: Jit, aperture_sample: Jit, active: Jit = True
@@ -196,9 +202,11 @@ def _register_lens(mi: Mitsuba, name: str, camera: Camera, pose: Floats, loaded:
     mi.register_sensor(name, Lens)
 
 
-def _mesh(mi: Mitsuba, name: str, number: int, surface: Surface, pose: Floats, mirrors: NDArray[np.bool_]) -> Jit:
+def _mesh(
+    mi: Mitsuba, name: str, number: int, surface: Surface, eye: Floats, ahead_m: float, mirrors: NDArray[np.bool_]
+) -> Jit:
     """A surface as a stock mesh with map coordinates, a two-sided material and an area emitter; `mirrors` (M,) are
-    directional."""
+    directional. Rays start at `ahead_m` [m] from the camera at `eye` (3,)."""
     properties = mi.Properties()
     texture = {"type": name, "surface": number}
     diffuse = {"type": "diffuse", "reflectance": {**texture, "what": "reflectance"}}
@@ -214,11 +222,10 @@ def _mesh(mi: Mitsuba, name: str, number: int, surface: Surface, pose: Floats, m
     surface = expanded(surface)
     corners, uv = surface.vertices[surface.faces], surface.uv
     # A stock area emitter radiates to one side; a copy behind it radiates to the other, so that a surface emits to both
-    # sides as in frames. The copy sticks out round the edges of thin bodies, dark from one side, so it is as near as
-    # rays tell apart.
-    eye = pose[:3, 3]
-    reach = max(float(np.abs(corners).max()), float(np.abs(eye).max()))
-    nearest = float(np.linalg.norm(corners - eye, axis=-1).min())
+    # sides as in frames. The copy sticks out round the edges of thin bodies and of steep ground, dark from one side, so
+    # it is as near as rays tell apart.
+    reach = max(float(np.abs(corners).max()), float(np.abs(eye).max()) - ahead_m)
+    nearest = float(np.linalg.norm(corners - eye, axis=-1).min()) - ahead_m
     behind = min(_BEHIND * (1.0 + reach), max(_MOST_BEHIND_M, _BEHIND * nearest))
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-300)

@@ -49,6 +49,8 @@ _SURE = 3.5
 # Pixels whose light is computed again, of faces beside something solid and of others; points in each of both
 # estimates, and walks from each point.
 _WALKED, _POINTS, _WALKS = 256, 8, 16
+# Largest error of a point at the end of a ray, over the ray's length.
+_ROUNDED = 4.0 * 2.0**-24
 # Standard errors added to the error that walks find.
 _WALKED_SURE = 2.0
 # Largest share of light assumed to be passed on between mirrors.
@@ -270,6 +272,8 @@ def _differences(
     on_map = geometry.map_position(geometry.record(hit.face, hit.valid), point)
     # A back shows its front's light, and is judged by that of its own side.
     normal = -dr.mulsign(normal, dr.dot(normal, ray.d))
+    # Hits of long rays are as far from the surface as the length is rounded; walks start above it.
+    above = dr.maximum(_ROUNDED * hit.distance - dr.opaque(mi.Float, geometry.hair), 0.0)
     # Radiance in the band without a path.
     sums = spectrum.solver.sum(axis=0)
     shown = baked.device.static_outgoing.at(geometry, hit, on_map)
@@ -281,7 +285,7 @@ def _differences(
         material, kelvin, part = (np.array(each) for each in read)
         share += part[:, None] * reflected[material]
         left -= part * baked.walks.emitted(material, kelvin)
-    light, node = baked.walks.incident(point, hit.face, normal, _WALKS)
+    light, node = baked.walks.incident(mi.Point3f(point + above * normal), hit.face, normal, _WALKS)
     left = left - (np.take_along_axis(share, node.astype(np.intp), axis=1) * light).mean(axis=1)
     one, two = np.where(np.array(hit.valid), left, 0.0).reshape(count, 2, _POINTS).mean(axis=2).T
     return one, two
