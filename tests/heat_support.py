@@ -72,6 +72,6 @@ def short_simulations():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(simulation, "_BEFORE_S", 6 * 3600.0)
-        patch.setattr(open_ground, "_LOOK_BACK", np.timedelta64(86400, "s"))
+        patch.setattr(open_ground, "LOOK_BACK", np.timedelta64(86400, "s"))
         patch.setattr(open_ground, "_MOST_DAYS", 2)
         yield

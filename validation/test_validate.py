@@ -282,8 +282,8 @@ def test_the_study_of_devices_counts_the_kernels_of_each_view_and_quality(tmp_pa
         (view, quality) for quality in ("standard", "fast") for view in bench.VIEWS
     ]
     for frame in scene["frames"]:
-        # A frame casts its first rays, reads what they hit, and refines edges.
-        assert frame["kernels"] >= 3 and frame["copies"] >= 1 and 0.0 < frame["device_ms"] < 2.0 * frame["frame_ms"]
+        # A frame casts its first rays, reads what they hit, and refines edges; on the CPU arrays are read in place.
+        assert frame["kernels"] >= 3 and frame["copies"] == 0 and 0.0 < frame["device_ms"] < 2.0 * frame["frame_ms"]
         assert len(frame["host_ms"]) > 3
     starts, frames, apart, host = gpu.tables(record)
     assert (len(starts[1]), len(frames[1]), apart[1], len(host[1])) == (1, 4, [], 8)

@@ -242,7 +242,7 @@ def test_layers_hold_the_water_of_the_bucket(name):
 
 def test_dry_soil_is_hotter_at_noon_and_colder_at_dawn(monkeypatch):
     """After a dry month the surface's day is wider than with the table's moisture."""
-    monkeypatch.setattr(open_ground, "_LOOK_BACK", np.timedelta64(1, "D"))
+    monkeypatch.setattr(open_ground, "LOOK_BACK", np.timedelta64(1, "D"))
     monkeypatch.setattr(open_ground, "_MOST_DAYS", 4)
     weather = weather_of("2018-06-01", 40, rain_mm_h=only(961, 5, 1.0))
     materials = [LIBRARY["soil_loam"], *in_weather([LIBRARY["soil_loam"]], weather, weather.time[-1])]

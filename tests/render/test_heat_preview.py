@@ -7,7 +7,7 @@ import pytest
 from support import slow
 
 import thermorender as tr
-from scenes import WEATHER, write_balance
+from scenes import WEATHER, scene_object, write_balance
 from thermorender.materials.library import load_library
 from thermorender.materials.mixture import mix
 from thermorender.render.heat import simulation as heat
@@ -63,19 +63,20 @@ EDITS = {
 def test_an_edit_that_changes_nothing_moves_no_temperature(renderer):
     found = renderer._heat.preview(asphalt(renderer.scene))
     # Columns before and after are solved side by side, by the same operations.
-    np.testing.assert_array_equal(kelvin(found.scene), kelvin(renderer.scene))
-    assert found.rms_k == found.most_k == 0.0
+    np.testing.assert_array_equal(kelvin(found), kelvin(renderer.scene))
+    assert found.temperature_state.preview_k == pytest.approx((0.005, 0.015))
 
 
 @pytest.mark.parametrize("name", [*list(EDITS)[:1], *slow(*list(EDITS)[1:])])
 def test_previewed_temperatures_err_less_than_is_stated_and_a_fiftieth_of_the_change(renderer, name):
     scene = EDITS[name](renderer.scene)
     found, (exact,) = renderer._heat.preview(scene), heat.solved(scene, [scene.time])
-    error, change = kelvin(found.scene) - kelvin(exact), kelvin(exact) - kelvin(renderer.scene)
+    error, change = kelvin(found) - kelvin(exact), kelvin(exact) - kelvin(renderer.scene)
     rms = np.sqrt((error**2).mean())
-    assert rms < found.rms_k and np.abs(error).max() < found.most_k
+    stated = found.temperature_state.preview_k
+    assert rms < stated[0] and np.abs(error).max() < stated[1]
     # Without the change of the light it is a fortieth to a twentieth.
-    assert rms < 0.02 * np.sqrt((change**2).mean()) and found.rms_k < 0.3
+    assert rms < 0.02 * np.sqrt((change**2).mean()) and stated[0] < 0.3
 
 
 def test_edits_of_many_mixtures_under_air_are_previewed(tmp_path):
@@ -95,10 +96,10 @@ def test_edits_of_many_mixtures_under_air_are_previewed(tmp_path):
     light = replace(sand, name="sand_2", solar_absorptance=0.9)
     after = before.with_surfaces(None, of(light)).with_temperature("balance")
     found, (exact,) = made._heat.preview(after), heat.solved(after, [after.time])
-    error, change = kelvin(found.scene) - kelvin(exact), kelvin(exact) - kelvin(made.scene)
+    error, change = kelvin(found) - kelvin(exact), kelvin(exact) - kelvin(made.scene)
     rms = np.sqrt((error**2).mean())
     # Few texels of each material are drawn, so that the stated error is large.
-    assert rms < 0.02 * np.sqrt((change**2).mean()) and rms < found.rms_k
+    assert rms < 0.02 * np.sqrt((change**2).mean()) and rms < found.temperature_state.preview_k[0]
     # The light is previewed too: its spectral nodes stay.
     shown = made.preview_for(after)
     assert shown.plan.spectrum.label is made.plan.spectrum.label
@@ -123,6 +124,84 @@ def turned(scene):
 )
 def test_edits_of_the_sun_the_hour_and_the_places_of_materials_need_a_run(renderer, change):
     assert renderer._heat.preview(change(renderer.scene)) is None
+
+
+def stove(tmp_path):
+    """Sand and grass beside a hot box of stated kelvin, of which nothing is solved."""
+    box = scene_object("stove", [6, 6, 4], [0, 0, 2], temperature=450.0, material="paint_black")
+    return load_scene(write_balance(tmp_path / "scene", WEATHER + box, height=np.zeros((16, 16))))
+
+
+def bright(tmp_path):
+    """Ground whose reflectance follows the brightness of its texels."""
+    source = 'source = "balance"\nbrightness = true'
+    return load_scene(write_balance(tmp_path / "scene", WEATHER, source=source, height=np.zeros((16, 16))))
+
+
+def clouded(scene):
+    """The scene without direct sun in the five minutes before its instant, by the minute."""
+    weather, minutes = scene.weather, scene.time - np.arange(0, 3600, 60).astype("timedelta64[s]")
+    times = np.unique(np.concatenate([weather.time, minutes]))
+    fine = replace(weather, time=times, **weather.at(times)._asdict())
+    ago = (scene.time - times) / np.timedelta64(1, "s")
+    return scene.with_weather(replace(fine, direct_w_m2=np.where((ago >= 0) & (ago < 300), 0.0, fine.direct_w_m2)))
+
+
+def recoloured(scene):
+    surface = scene.surfaces[0]
+    return scene.with_surfaces((replace(surface, colour=255 - surface.colour),), scene.materials)
+
+
+def from_the_day_before(scene):
+    """The scene with weather that begins earlier, on a colder day."""
+    weather = scene.weather
+    times = np.concatenate([weather.time[:1] - np.timedelta64(1, "D"), weather.time])
+    series = {name: np.concatenate([values[:1], values]) for name, values in weather.at(weather.time)._asdict().items()}
+    return scene.with_weather(replace(weather, time=times, **series))
+
+
+@pytest.mark.parametrize(
+    ("made", "change"),
+    [
+        (stove, lambda scene: scene.with_material(stove="concrete")),
+        (stove, lambda scene: scene.with_weather(replace(scene.weather, wind_height_m=2.0))),
+        (stove, lambda scene: scene.with_weather(replace(scene.weather, air_height_m=10.0))),
+        (stove, clouded),
+        (stove, from_the_day_before),
+        (bright, lambda scene: scene.with_material(grass_green="asphalt")),
+        (bright, recoloured),
+    ],
+)
+def test_edits_of_what_no_record_has_need_a_run(tmp_path, made, change):
+    renderer = tr.Renderer(made(tmp_path), rays=4, quality="fast", edits=True)
+    assert renderer._heat.preview(change(renderer.scene)) is None
+
+
+@pytest.mark.parametrize("depth_m", [0.2, 10.0])
+def test_a_preview_of_slow_columns_settles_as_a_run_does(tmp_path, depth_m):
+    scene = load_scene(write_balance(tmp_path / "scene", WEATHER, height=np.zeros((8, 8))))
+    scene = scene.with_material(grass_green="water")
+    made = tr.Renderer(scene, rays=4, quality="fast", edits=True)
+    water = next(each for each in scene.materials if each.name == "water")
+    other = replace(water, name="water_2", thermal=replace(water.thermal, thickness_m=depth_m))
+    own = [other if each is water else each for each in scene.materials]
+    after = scene.with_surfaces(None, own).with_temperature("balance")
+    found, (exact,) = made._heat.preview(after), heat.solved(after, [after.time])
+    rms, most = found.temperature_state.preview_k
+    error = kelvin(found) - kelvin(exact)
+    assert np.sqrt((error**2).mean()) < rms and np.abs(error).max() < most
+
+
+def test_what_begins_from_the_scene_of_a_preview_states_its_error(yard, renderer):
+    shown = renderer.preview_for(EDITS["dark asphalt becomes light"](renderer.scene))
+    rms, most = (1e3 * value for value in shown.scene.temperature_state.preview_k)
+    for other in (tr.Renderer(shown.scene, rays=16, quality="fast"), renderer.solved_for(shown.scene)):
+        assert other.baked.errors_mk["preview_rms"] == rms and other.baked.errors_mk["preview"] == most
+
+
+def test_a_renderer_for_edits_like_one_without_keeps_a_record(yard, renderer):
+    plain = tr.Renderer(yard, rays=16, quality="fast")
+    assert tr.Renderer(yard, rays=16, quality="fast", like=plain, edits=True)._heat is not None
 
 
 EXACT = {

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from thermorender.render.baked_light import with_previewed
 from thermorender.render.device import flat
 from thermorender.render.edits.preview import prepare, preview
 from thermorender.render.edits.solution import solved_change
@@ -162,6 +163,7 @@ def bake(
         loaded.samples = like.loaded.samples
     if not plan.bake:
         none = dict.fromkeys(("solution", "noise", "faces", "texels"), 0.0)
+        none = with_previewed(none, scene)
         return BakedScene(scene, plan, None, None, tuple(texel), None, None, black, None, none, None, loaded)
     if known is None:
         what = "tracing the light between surfaces"
@@ -193,7 +195,7 @@ def bake(
     errors = {"solution": solution, "noise": rms[0], "faces": varies, "texels": rms[1]}
     if scene.air is not None:
         errors["air"] = np.sqrt(share @ lost**2)
-    errors = {name: float(value / per_mk) for name, value in errors.items()}
+    errors = with_previewed({name: float(value / per_mk) for name, value in errors.items()}, scene)
     report_progress(_SOLVING, 1.0)
     # Per face, for the error budget of frames.
     square = (noise**2 + scatter + lost**2 + within**2).astype(np.float32)

@@ -10,6 +10,7 @@ from thermorender.render.dynamic import StaticLight
 from thermorender.render.light.radiosity import Transport
 from thermorender.render.plan import Plan
 from thermorender.scene.scene import Scene
+from thermorender.scene.temperature_state import Available
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,4 +34,18 @@ class BakedLight:
     # the surfaces: "noise" of the rays, from independent halves, "faces", of light taken as constant over a face, and
     # "texels", of baking it to texels; with air also "air", an estimate from above, of leaving it out between surfaces.
     errors_mk: dict[str, float]
+    # Where temperatures or light preview an edit, "preview" is the largest error of both, and "preview_rms" the root
+    # mean square.
     cache_note: str | None  # why the traced light could not be kept on disk; None where it was kept or need not be
+
+
+def with_previewed(errors_mk: dict[str, float], scene: Scene) -> dict[str, float]:
+    """Return errors of light with those of temperatures that preview an edit [mK]."""
+    state = scene.temperature_state
+    if not isinstance(state, Available) or state.preview_k is None:
+        return errors_mk
+    rms, most = (1e3 * value for value in state.preview_k)
+    return errors_mk | {
+        "preview": errors_mk.get("preview", 0.0) + most,
+        "preview_rms": float(np.hypot(errors_mk.get("preview_rms", 0.0), rms)),
+    }

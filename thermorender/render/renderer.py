@@ -2,7 +2,6 @@
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from operator import index as whole
 from typing import TYPE_CHECKING, Any, Literal
@@ -179,13 +178,7 @@ class Renderer:
             known = None if self._heat is None else self._heat.record
             solved = solved_at(scene, [scene.time], self._geometry, progress, known=known)[0]
             return self._like_this(self.baked.preview_for(solved, progress))
-        baked = self.baked.preview_for(found.scene, progress)
-        errors = baked.errors_mk
-        more = {
-            "preview": errors.get("preview", 0.0) + 1e3 * found.most_k,
-            "preview_rms": float(np.hypot(errors.get("preview_rms", 0.0), 1e3 * found.rms_k)),
-        }
-        return self._like_this(replace(baked, errors_mk={**errors, **more}))
+        return self._like_this(self.baked.preview_for(found, progress))
 
     def _like_this(self, baked: BakedScene) -> "Renderer":
         """The Renderer of another light on the same surfaces, with the cameras' rays of this one."""
@@ -515,7 +508,7 @@ def _solved(
     scene: Scene, like: "Renderer | None", geometry: Geometry, progress: Progress | None, edits: bool
 ) -> "tuple[Scene, SolvedHeat | None]":  # fmt: skip
     """(A scene with its temperatures solved, those of `like` where only the camera differs; what edits begin from)."""
-    if like is not None and scene.changes(like._asked) <= {"camera"}:
+    if like is not None and scene.changes(like._asked) <= {"camera"} and (like._heat is not None or not edits):
         known = like.scene.with_camera(scene.camera)
         # A conditional map's temperatures depend on the sky in the camera's band and may differ.
         if known.temperature_state.solved:

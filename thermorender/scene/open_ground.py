@@ -47,6 +47,7 @@ _ABOVE = 5.0
 _TEMPERATURE_K = 290.0
 # Simulation in the open: time step, largest number of repeated days before it, and the change that ends them.
 STEP_S = 900.0
+_SETTLE_STEP_S = 2.0 * STEP_S
 _MOST_DAYS, SETTLED_K = 15, 0.1
 # The ground below seasonal snow stays near the melting point: Goodrich, Can. Geotech. J. 19 (1982) 421,
 # doi:10.1139/t82-047 [K].
@@ -54,7 +55,7 @@ _BELOW_SNOW_K = ZERO_CELSIUS_K
 # Above this depth, the ground settles within a few days [m].
 _SOON_M = 0.5
 # Older weather affects only the depth, which a settled day approximates.
-_LOOK_BACK = np.timedelta64(14 * 86400, "s")
+LOOK_BACK = np.timedelta64(14 * 86400, "s")
 _DAY = np.timedelta64(86400, "s")
 
 
@@ -69,6 +70,14 @@ class Columns:
     indoors: NDArray[np.bool_]
     node_m: NDArray[np.float64]  # (M, L) depth of the layers' temperatures [m]
     snow_m: NDArray[np.float64]  # (M,) depth of snow on top [m]
+
+
+def chosen(columns: Columns, index: NDArray[np.integer]) -> Columns:
+    """Return the Columns of some of the materials, by their numbers."""
+    pick: Any = lambda values: [each[index] for each in values] if isinstance(values, list) else values[index]  # noqa: E731
+    ground = {name: None if values is None else pick(values) for name, values in columns.ground._asdict().items()}
+    others = columns.absorptance, columns.wind_factor, columns.indoors, columns.node_m, columns.snow_m
+    return Columns(ColumnProperties(**ground), *map(pick, others))
 
 
 def columns(
@@ -275,23 +284,24 @@ def march(
 
 
 def settled(
-    columns: Columns, weather: Weather, at: np.datetime64, inside_k: float = INSIDE_K,
-    look_back: np.timedelta64 = _LOOK_BACK, step_s: float = 2.0 * STEP_S,
+    columns: Columns, weather: Weather, at: np.datetime64, inside_k: float = INSIDE_K
 ) -> "tuple[State, float]":  # fmt: skip
     """Return (State of open columns at an instant, change of surfaces and first layers over the last repeated day [K]).
 
-    The first day of the time `look_back` before `at` is repeated until two days differ by less than 0.1 K, each from
-    the previous one's mean at depth. From there the weather is simulated to `at`, in steps of at most `step_s`.
+    The first day of `LOOK_BACK` before `at` is repeated until two days differ by less than 0.1 K, each from
+    the previous one's mean at depth. From there the weather is simulated to `at`, in steps of at most `_SETTLE_STEP_S`.
     """
     if at < weather.time[0]:
         raise ThermorenderError(f"{utc_text(at)} is before the weather, which begins at {utc_text(weather.time[0])}")
-    first = max(weather.time[0], at - look_back)
+    first = max(weather.time[0], at - LOOK_BACK)
     day = min(first + _DAY, weather.time[-1])
     mean = float(weather.at(first + np.arange(24) * ((day - first) // 24)).air_k.mean())
-    state, change = settle(columns, mean, lambda state: march(columns, weather, state, first, day, inside_k, step_s))
+    state, change = settle(
+        columns, mean, lambda state: march(columns, weather, state, first, day, inside_k, _SETTLE_STEP_S)
+    )
     if at > first:
         # The repeated day is the first one, so start it again from its final state.
-        state = march(columns, weather, state, first, at, inside_k, step_s)[-1]
+        state = march(columns, weather, state, first, at, inside_k, _SETTLE_STEP_S)[-1]
     return state, change
 
 

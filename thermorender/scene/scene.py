@@ -624,7 +624,7 @@ class Scene:
     def with_solved_temperatures(
         self, time: np.datetime64, temperatures: Sequence[ArrayLike], *, flags: "Sequence[ArrayLike] | None" = None,
         report: Mapping[str, Any] | None = None, moved_report: Mapping[str, Any] | None = None,
-        notes: tuple[str, ...] = (), scatter_k: Sequence[ArrayLike] = (),
+        notes: tuple[str, ...] = (), scatter_k: Sequence[ArrayLike] = (), preview_k: tuple[float, float] | None = None,
     ) -> "Scene":  # fmt: skip
         """Return this scene at an instant of its weather, with the temperatures that were solved for it.
 
@@ -638,7 +638,7 @@ class Scene:
             Kinetic temperature of the texels of each of the first `Scene.solved_count` surfaces [K].
         flags : sequence of (h, w) uint8 arrays, optional
             Flags of these texels, in place of the scene's own.
-        report, moved_report, notes : optional
+        report, moved_report, notes, preview_k : optional
             As of `Available`.
         scatter_k : sequence of arrays, optional
             Of the last of these surfaces, as of `Surface`.
@@ -659,7 +659,7 @@ class Scene:
         own = flags_argument(flags, solved) if flags is not None else [surface.flags for surface in solved]
         moment = instant("with_solved_temperatures: time", time)
         self.weather.at(moment)
-        known = Available(state.source, moment, report or state.report, moved_report or {}, notes)
+        known = Available(state.source, moment, report or state.report, moved_report or {}, notes, preview_k)
         count = self.terrain_count
         objects = kelvin[count:]
         spread = [None] * (len(objects) - len(scatter_k)) + [np.asarray(each, np.float32) for each in scatter_k]

@@ -64,6 +64,8 @@ class Available:
     # Report of moving a map to `time`; empty for other sources
     moved_report: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()  # Notes of solving, added to those of the weather
+    # Estimated error of temperatures that preview an edit: root mean square, and largest [K]; None for those of a run
+    preview_k: tuple[float, float] | None = None
 
     @property
     def solved(self) -> bool:

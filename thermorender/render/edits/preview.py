@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.render.arrays import Channels, Floats, Jit, aligned
+from thermorender.render.baked_light import with_previewed
 from thermorender.render.device import DeviceScene
 from thermorender.render.edits.change import Change, change_of, comparable, touched_by
 from thermorender.render.edits.prior import LeftOut, PriorLight, Samples
@@ -92,7 +93,7 @@ def _previewed(baked: LoadedLight, prior: PriorLight, scene: Scene, change: Chan
     loaded.prior_later = partial(prior.after, scene, change.kinds, change.kelvin, basis, light, found)
     shown = replace(
         baked, scene=scene, plan=change.plan, incident=None, texels=tuple(texels), faces=faces,
-        errors_mk=solved.errors_mk | errors_mk, loaded=loaded,
+        errors_mk=with_previewed(solved.errors_mk | errors_mk, scene), loaded=loaded,
     )  # fmt: skip
     same_air = scene.surroundings_temperature == solved.scene.surroundings_temperature
     loaded.device = DeviceScene(shown, geometry, outgoing, solved.device.air if same_air else None)

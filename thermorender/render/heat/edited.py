@@ -6,13 +6,14 @@ quadratic function of what every column knows of its light. Each drawn texel's r
 the fit, and a half of what the change of the light does give the error.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.materials.material import Material
 from thermorender.physics import balance
 from thermorender.physics.balance import State
 from thermorender.physics.planck import STEFAN_BOLTZMANN
@@ -35,8 +36,6 @@ _RIDGE = 0.01
 _LEAST_W_M2 = 0.05
 # The change of the light is summed with weights that fall by 1/e in this time [s].
 _PAST_S = 2 * 3600.0
-# Open columns settle in this time before the start [s], in steps of this length: it is their change that counts.
-_SETTLES_S, _SETTLE_STEP_S = 3 * 86400, 7200.0
 # What an edit may change that is not light on the ground. The sun of a scene with air is stated once it is solved; it
 # follows from what is compared.
 _MAY_CHANGE = {"materials", "surfaces", "temperature_state", "spec_weather", "noted_weather", "sun"}
@@ -45,17 +44,10 @@ _MAY_CHANGE = {"materials", "surfaces", "temperature_state", "spec_weather", "no
 _OF_LIGHT, _SURE, _BEYOND = 0.5, 2.0, 3.0
 # Largest error of a preview that is of use, as a share of the change.
 _OF_USE = 0.5
+# Least error of temperatures [K]: steps are rounded, and columns may settle on other days than those of a run.
+_LEAST_K = 5e-3
 # Columns at a time where a fit is evaluated.
 _AT_ONCE = 1 << 16
-
-
-@dataclass(frozen=True, eq=False)
-class HeatPreview:
-    """A scene with temperatures to first order, and their estimated errors: over all texels, and of one [K]."""
-
-    scene: Scene
-    rms_k: float
-    most_k: float
 
 
 @dataclass(eq=False)
@@ -66,10 +58,11 @@ class SolvedHeat:
     record: Record
     # Texels that take the temperatures of others since no face shows them, of each surface
     nearest: list[NDArray[np.intp] | None] | None = None
+    settled: list[State] = field(default_factory=list)  # from which its columns begin, once a preview has asked
 
-    def preview(self, scene: Scene) -> HeatPreview | None:
-        """Return the HeatPreview of an edit of this scene; None where it needs a run, or where the error would not be
-        below half of the change."""
+    def preview(self, scene: Scene) -> Scene | None:
+        """Return an edit of this scene with temperatures to first order, whose errors its state has; None where it
+        needs a run, or where the error would not be below half of the change."""
         before, record = self.scene, self.record
         if not _comparable(before, scene, record):
             return None
@@ -83,7 +76,7 @@ class SolvedHeat:
         same_air = all(map(np.array_equal, _series(before.weather), _series(scene.weather)))
         weather = before.weather if same_air else scene.weather
         edited = np.array([each for each in materials if not (same_air and _same(kinds, each, count + each))], np.int64)
-        change, by_light, received = _changes(record, before.weather, weather, kinds, edited)
+        change, by_light, received = _changes(record, before.weather, weather, kinds, edited, self.settled)
         solved = before.surfaces[: before.solved_count]
         material, found = (
             np.concatenate([getattr(surface, name).ravel() for surface in solved])
@@ -112,9 +105,11 @@ class SolvedHeat:
         if square[0] > _OF_USE**2 * square[1]:
             return None
         made = scene.with_solved_temperatures(
-            scene.time, self._covered(found), scatter_k=[one.scatter_k for one in solved if one.scatter_k is not None]
-        )
-        return HeatPreview(made, float(np.sqrt(square[0] / len(texels))), most)
+            scene.time, self._covered(found), scatter_k=[one.scatter_k for one in solved if one.scatter_k is not None],
+            notes=before.temperature_state.notes,
+            preview_k=(float(np.hypot(np.sqrt(square[0] / len(texels)), _LEAST_K)), most + _BEYOND * _LEAST_K),
+        )  # fmt: skip
+        return made
 
     def _covered(self, kelvin: NDArray[np.float32]) -> list[NDArray[np.float32]]:
         """Temperatures of the surfaces; texels without a face, which only blend, take the nearest's."""
@@ -138,22 +133,49 @@ def _comparable(before: Scene, scene: Scene, record: Record) -> bool:
         if one.inner_w_m2 != other.inner_w_m2 or not np.array_equal(one.material, other.material):
             return False
     solved = slice(before.solved_count, None)
-    held = zip(before.surfaces[solved], scene.surfaces[solved], strict=True)
+    held = list(zip(before.surfaces[solved], scene.surfaces[solved], strict=True))
     if before.solved_count != scene.solved_count or not all(
         np.array_equal(a.temperature, b.temperature) for a, b in held
     ):
         return False
+    # What surfaces of known temperature send is not in the change of the light.
+    pairs = list(zip(before.materials, scene.materials, strict=True))
+    of_known = np.unique(np.concatenate([np.zeros(0, np.uint8), *(np.unique(a.material) for a, _ in held)]))
+    if not all(_alike(*pairs[number]) for number in of_known):
+        return False
+    if before.spec.temperature.brightness:
+        # The factor on the reflectance follows colours, and is of mineral ground.
+        colours = zip(before.surfaces, scene.surfaces, strict=True)
+        if not all(np.array_equal(a.colour, b.colour) for a, b in colours):
+            return False
+        if any(open_ground.bare(a) != open_ground.bare(b) for a, b in pairs):
+            return False
+    return scene.weather is before.weather or _alike_sky(before, scene, record)
+
+
+def _alike(one: Material, other: Material) -> bool:
+    """Whether two materials emit and reflect alike."""
+    names = ("wavelength_um", "emissivity", "emissivity_by_angle", "solar_absorptance")
+    return one is other or all(np.array_equal(getattr(one, name), getattr(other, name)) for name in names)
+
+
+def _alike_sky(before: Scene, scene: Scene, record: Record) -> bool:
+    """Whether two weathers have the same sun, snow, place and sensors from when the ground settles until the instant of
+    the scene."""
+    assert before.spec.weather is not None and scene.spec.weather is not None and before.time is not None
     old, new = before.weather, scene.weather
-    if new is old:
-        return True
-    assert before.spec.weather is not None and scene.spec.weather is not None
-    times = record.start + np.array([round(1000.0 * at) for at, _ in record.steps]).astype("timedelta64[ms]")
-    if before.spec.weather.inside_c != scene.spec.weather.inside_c or old.altitude_m != new.altitude_m:
+    same = "latitude_deg", "longitude_deg", "altitude_m", "air_height_m", "wind_height_m"
+    if before.spec.weather.inside_c != scene.spec.weather.inside_c or any(
+        getattr(old, name) != getattr(new, name) for name in same
+    ):
         return False
-    if new.time[0] > record.start or new.time[-1] < before.time:
+    first, other = (max(each.time[0], record.start - open_ground.LOOK_BACK) for each in (old, new))
+    if first != other or new.time[-1] < before.time:
         return False
-    sun = np.array_equal(old.sun(times), new.sun(times))
-    return sun and all(
+    # Between the rows of both, all quantities are linear.
+    times = np.unique(np.concatenate([old.time, new.time, [first, before.time]]))
+    times = times[(times >= first) & (times <= before.time)]
+    return all(
         np.array_equal(getattr(old.at(times), name), getattr(new.at(times), name))
         for name in ("direct_w_m2", "diffuse_w_m2", "snow_m")
     )
@@ -174,10 +196,11 @@ def _same(kinds: Kinds, one: int, other: int) -> bool:
 
 
 def _changes(
-    record: Record, old: Weather, new: Weather, kinds: Kinds, edited: NDArray[np.integer]
+    record: Record, old: Weather, new: Weather, kinds: Kinds, edited: NDArray[np.integer], settled: list[State]
 ) -> tuple[Floats, Floats, NDArray[np.float32]]:
     """(change of the temperatures of drawn texels (D,) [K], part of it by the change of the light (D,) [K], change of
-    the light on faces in the last hours, of the sun's and long-wave (F, 2) [W m⁻²])."""
+    the light on faces in the last hours, of the sun's and long-wave (F, 2) [W m⁻²]). `settled` keeps the State from
+    which columns before the edit begin."""
     mi, count, drawn = record.mi, len(record.parts), len(record.material)
     # Every drawn texel before the edit, after it in the light before, and after it.
     material = np.concatenate([record.material, count + record.material, count + record.material])
@@ -188,14 +211,22 @@ def _changes(
     sky, cooler, inner, reflects = (each[of] for each in record.own.T[-4:])
     sky, cooler = mi.Float(aligned(sky)), mi.Float(aligned(cooler))
 
-    def begun(weather: Weather) -> tuple[Matter, State]:
-        look_back = np.timedelta64(_SETTLES_S, "s")
-        begin, _ = open_ground.settled(kinds.columns, weather, record.start, record.inside_k, look_back, _SETTLE_STEP_S)
+    def begun(weather: Weather, materials: NDArray[np.integer], known: list[State]) -> tuple[Matter, State]:
+        # The columns of a run settle together: how long depends on the slowest of them.
+        own = np.unique(np.concatenate([kinds.kind[each, : kinds.count[each]] for each in materials]))
+        if not known:
+            columns = open_ground.chosen(kinds.columns, own)
+            known.append(open_ground.settled(columns, weather, record.start, record.inside_k)[0])
+        found = known[0]
+        row = np.searchsorted(own, np.arange(len(kinds.columns.absorptance))).clip(max=len(own) - 1)
+        layers, liquid = (values and [each[row] for each in values] for values in (found.layers_k, found.liquid))
+        begin = State(found.surface_k[row], layers or [], found.film[row], liquid)
         return of_kinds(mi, kinds.columns, begin, parts.kind, reflects, inner if inner.any() else None)
 
-    matter, state = begun(old)
-    if new is not old:
-        state = _where(after, begun(new)[1], state)
+    present = np.unique(record.material)
+    # Kinds before an edit come first, so that they are the same for all edits.
+    matter, state = begun(old, present, settled)
+    state = _where(after, begun(new, count + present, [])[1], state)
     sending = _Sending(record, edited, of, turn, parts, matter)
     more = [np.zeros(drawn, np.float32)] * 2
     past: Any = 0.0
@@ -294,6 +325,7 @@ class _Sending:
 def _where(mask: Any, one: State, other: State) -> State:
     """The State of one or the other."""
     pick = lambda a, b: [dr.select(mask, x, y) for x, y in zip(a, b, strict=True)]  # noqa: E731
+    assert (one.liquid is None) == (other.liquid is None)
     liquid = None if one.liquid is None or other.liquid is None else pick(one.liquid, other.liquid)
     state = State(
         dr.select(mask, one.surface_k, other.surface_k), pick(one.layers_k, other.layers_k),
