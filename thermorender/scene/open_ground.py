@@ -74,8 +74,12 @@ class Columns:
 
 def chosen(columns: Columns, index: NDArray[np.integer]) -> Columns:
     """Return the Columns of some of the materials, by their numbers."""
-    pick: Any = lambda values: [each[index] for each in values] if isinstance(values, list) else values[index]  # noqa: E731
-    ground = {name: None if values is None else pick(values) for name, values in columns.ground._asdict().items()}
+
+    def pick(values: Any) -> Any:
+        return [each[index] for each in values] if isinstance(values, list) else values[index]
+
+    ground: dict[str, Any] = columns.ground._asdict()
+    ground = {name: None if values is None else pick(values) for name, values in ground.items()}
     others = columns.absorptance, columns.wind_factor, columns.indoors, columns.node_m, columns.snow_m
     return Columns(ColumnProperties(**ground), *map(pick, others))
 

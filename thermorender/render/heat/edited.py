@@ -24,7 +24,7 @@ from thermorender.render.heat.steps import Library
 from thermorender.scene import open_ground
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import fill, nearest_valid
-from thermorender.scene.temperature_state import Balance
+from thermorender.scene.temperature_state import Available, Balance
 from thermorender.scene.weathered_ground import parts_in_weather
 from thermorender.weather.series import Conditions, Weather
 
@@ -104,9 +104,11 @@ class SolvedHeat:
             most = max(most, _BEYOND * float(error.max()))
         if square[0] > _OF_USE**2 * square[1]:
             return None
+        state = before.temperature_state
+        assert isinstance(state, Available)
         made = scene.with_solved_temperatures(
             scene.time, self._covered(found), scatter_k=[one.scatter_k for one in solved if one.scatter_k is not None],
-            notes=before.temperature_state.notes,
+            notes=state.notes,
             preview_k=(float(np.hypot(np.sqrt(square[0] / len(texels)), _LEAST_K)), most + _BEYOND * _LEAST_K),
         )  # fmt: skip
         return made
