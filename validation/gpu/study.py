@@ -119,7 +119,8 @@ def measured(device, scenes, qualities, limit_s, heat, folder):
             found[name], ready[name] = _started(path, device, Path(folder))
     for name, (scene, _) in ready.items():
         if heat and in_time(f"{name}, heat"):
-            found[name]["heat_s"] = _timed(lambda scene=scene: solved_at(scene, [scene.time]))[0]
+            balanced = scene.with_temperature("balance")
+            found[name]["heat_s"] = _timed(lambda scene=balanced: solved_at(scene, [scene.time]))[0]
     for name, (scene, first) in ready.items():
         for quality in qualities:
             if quality != _FIRST and in_time(f"{name}, {quality}"):
