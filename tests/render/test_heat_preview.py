@@ -153,7 +153,7 @@ def recoloured(scene):
 
 
 def from_the_day_before(scene):
-    """The scene with weather that begins earlier, on a colder day."""
+    """The scene with weather that begins a day earlier."""
     weather = scene.weather
     times = np.concatenate([weather.time[:1] - np.timedelta64(1, "D"), weather.time])
     series = {name: np.concatenate([values[:1], values]) for name, values in weather.at(weather.time)._asdict().items()}

@@ -96,7 +96,8 @@ class RadianceTable:
 
     @staticmethod
     def ratio(emissivity: Emissivity, coldest: float, warmest: float, lower_um: float, upper_um: float) -> Floats:
-        """Return the radiance of a material over that of a blackbody at the temperatures of `grid`."""
+        """Return the radiance of a material over that of a blackbody [1], (n,), at the temperatures of `grid`
+        (`coldest`, `warmest`) [K], in the band from `lower_um` to `upper_um` [µm]."""
         temperature, _, coarse, wavelength, share = _blackbody(float(coldest), float(warmest), lower_um, upper_um)
         return np.interp(temperature, coarse, share @ emissivity(wavelength))
 

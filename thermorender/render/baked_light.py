@@ -33,9 +33,9 @@ class BakedLight:
     # Errors of the reflected light [mK at 300 K]: "solution", the bound from its residual, and root mean squares over
     # the surfaces: "noise" of the rays, from independent halves, "faces", of light taken as constant over a face, and
     # "texels", of baking it to texels; with air also "air", an estimate from above, of leaving it out between surfaces.
-    errors_mk: dict[str, float]
     # Where temperatures or light preview an edit, "preview" is the largest error of both, and "preview_rms" the root
     # mean square.
+    errors_mk: dict[str, float]
     cache_note: str | None  # why the traced light could not be kept on disk; None where it was kept or need not be
 
 

@@ -165,7 +165,7 @@ def mitsuba_scene(mi: Mitsuba, scene: Scene, pose: Floats, integrator: str, dept
 def _register_lens(mi: Mitsuba, name: str, camera: Camera, pose: Floats, ahead_m: float, loaded: _Lent) -> None:
     """Register the sensor: a camera's rays through its distortion and principal point, exact at the pixels' corners and
     bilinear between them: within a pixel a lens is linear to 3e-4 of a pixel, up to k1 = −0.26. They start `ahead_m`
-    before the camera."""
+    [m] in front of the camera."""
     width, height = camera.width, camera.height
     place = np.stack(np.meshgrid(np.arange(width + 1.0), np.arange(height + 1.0)), axis=-1)
     loaded.slopes = mi.Float(aligned(camera.directions(place)))
@@ -206,7 +206,7 @@ def _mesh(
     mi: Mitsuba, name: str, number: int, surface: Surface, eye: Floats, ahead_m: float, mirrors: NDArray[np.bool_]
 ) -> Jit:
     """A surface as a stock mesh with map coordinates, a two-sided material and an area emitter; `mirrors` (M,) are
-    directional. Rays start at `ahead_m` [m] from the camera at `eye` (3,)."""
+    directional. Rays start `ahead_m` [m] in front of the camera, which is at `eye` (3,)."""
     properties = mi.Properties()
     texture = {"type": name, "surface": number}
     diffuse = {"type": "diffuse", "reflectance": {**texture, "what": "reflectance"}}

@@ -292,8 +292,8 @@ def settled(
 ) -> "tuple[State, float]":  # fmt: skip
     """Return (State of open columns at an instant, change of surfaces and first layers over the last repeated day [K]).
 
-    The first day of `LOOK_BACK` before `at` is repeated until two days differ by less than 0.1 K, each from
-    the previous one's mean at depth. From there the weather is simulated to `at`, in steps of at most `_SETTLE_STEP_S`.
+    The first of the 14 days before `at` is repeated until two days differ by less than 0.1 K, each from the previous
+    one's mean at depth. From there the weather is simulated to `at`, in steps of at most half an hour.
     """
     if at < weather.time[0]:
         raise ThermorenderError(f"{utc_text(at)} is before the weather, which begins at {utc_text(weather.time[0])}")

@@ -6,7 +6,7 @@ quadratic function of what every column knows of its light. Each drawn texel's r
 the fit, and a half of what the change of the light does give the error.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -58,7 +58,7 @@ class SolvedHeat:
     record: Record
     # Texels that take the temperatures of others since no face shows them, of each surface
     nearest: list[NDArray[np.intp] | None] | None = None
-    settled: list[State] = field(default_factory=list)  # from which its columns begin, once a preview has asked
+    settled: State | None = None  # of its kinds of column, from which they begin; None until a preview asks
 
     def preview(self, scene: Scene) -> Scene | None:
         """Return an edit of this scene with temperatures to first order, whose errors its state has; None where it
@@ -76,7 +76,11 @@ class SolvedHeat:
         same_air = all(map(np.array_equal, _series(before.weather), _series(scene.weather)))
         weather = before.weather if same_air else scene.weather
         edited = np.array([each for each in materials if not (same_air and _same(kinds, each, count + each))], np.int64)
-        change, by_light, received = _changes(record, before.weather, weather, kinds, edited, self.settled)
+        if self.settled is None:
+            # Kinds before an edit come first, so that they are the same for all edits.
+            self.settled = _settled(record, before.weather, kinds, materials)
+        begin = self.settled, _settled(record, weather, kinds, count + materials)
+        change, by_light, received = _changes(record, before.weather, weather, kinds, edited, begin)
         solved = before.surfaces[: before.solved_count]
         material, found = (
             np.concatenate([getattr(surface, name).ravel() for surface in solved])
@@ -197,12 +201,24 @@ def _same(kinds: Kinds, one: int, other: int) -> bool:
     )
 
 
+def _kinds_of(kinds: Kinds, materials: NDArray[np.integer]) -> NDArray[np.int64]:
+    """The numbers of the kinds of column that some materials have, ascending."""
+    return np.unique(np.concatenate([kinds.kind[each, : kinds.count[each]] for each in materials]))
+
+
+def _settled(record: Record, weather: Weather, kinds: Kinds, materials: NDArray[np.integer]) -> State:
+    """The State of the kinds of some materials at the start of the run. The kinds of a run settle together, for as many
+    days as the slowest of them needs."""
+    columns = open_ground.chosen(kinds.columns, _kinds_of(kinds, materials))
+    return open_ground.settled(columns, weather, record.start, record.inside_k)[0]
+
+
 def _changes(
-    record: Record, old: Weather, new: Weather, kinds: Kinds, edited: NDArray[np.integer], settled: list[State]
+    record: Record, old: Weather, new: Weather, kinds: Kinds, edited: NDArray[np.integer], begin: tuple[State, State]
 ) -> tuple[Floats, Floats, NDArray[np.float32]]:
     """(change of the temperatures of drawn texels (D,) [K], part of it by the change of the light (D,) [K], change of
-    the light on faces in the last hours, of the sun's and long-wave (F, 2) [W m⁻²]). `settled` keeps the State from
-    which columns before the edit begin."""
+    the light on faces in the last hours, of the sun's and long-wave (F, 2) [W m⁻²]). `begin` are the states of
+    `_settled` before and after the edit."""
     mi, count, drawn = record.mi, len(record.parts), len(record.material)
     # Every drawn texel before the edit, after it in the light before, and after it.
     material = np.concatenate([record.material, count + record.material, count + record.material])
@@ -213,22 +229,17 @@ def _changes(
     sky, cooler, inner, reflects = (each[of] for each in record.own.T[-4:])
     sky, cooler = mi.Float(aligned(sky)), mi.Float(aligned(cooler))
 
-    def begun(weather: Weather, materials: NDArray[np.integer], known: list[State]) -> tuple[Matter, State]:
-        # The columns of a run settle together: how long depends on the slowest of them.
-        own = np.unique(np.concatenate([kinds.kind[each, : kinds.count[each]] for each in materials]))
-        if not known:
-            columns = open_ground.chosen(kinds.columns, own)
-            known.append(open_ground.settled(columns, weather, record.start, record.inside_k)[0])
-        found = known[0]
+    def begun(found: State, materials: NDArray[np.integer]) -> tuple[Matter, State]:
+        # Rows of all kinds, of which these materials read their own.
+        own = _kinds_of(kinds, materials)
         row = np.searchsorted(own, np.arange(len(kinds.columns.absorptance))).clip(max=len(own) - 1)
-        layers, liquid = (values and [each[row] for each in values] for values in (found.layers_k, found.liquid))
-        begin = State(found.surface_k[row], layers or [], found.film[row], liquid)
-        return of_kinds(mi, kinds.columns, begin, parts.kind, reflects, inner if inner.any() else None)
+        liquid = None if found.liquid is None else [each[row] for each in found.liquid]
+        whole = State(found.surface_k[row], [each[row] for each in found.layers_k], found.film[row], liquid)
+        return of_kinds(mi, kinds.columns, whole, parts.kind, reflects, inner if inner.any() else None)
 
     present = np.unique(record.material)
-    # Kinds before an edit come first, so that they are the same for all edits.
-    matter, state = begun(old, present, settled)
-    state = _where(after, begun(new, count + present, [])[1], state)
+    matter, state = begun(begin[0], present)
+    state = _where(after, begun(begin[1], count + present)[1], state)
     sending = _Sending(record, edited, of, turn, parts, matter)
     more = [np.zeros(drawn, np.float32)] * 2
     past: Any = 0.0
