@@ -107,8 +107,14 @@ def squared_error(frame: NDArray[Any], first: NDArray[Any], second: NDArray[Any]
     return float(product.mean()), float(product.std(ddof=1) / np.sqrt(product.size))
 
 
-def mitsuba_scene(mi: Mitsuba, scene: Scene, pose: Floats, integrator: str, depth: int) -> Jit:
-    """Return the Mitsuba scene of stock plugins and our three parts, for the active spectral variant."""
+def mitsuba_scene(
+    mi: Mitsuba, scene: Scene, pose: Floats, integrator: str, depth: int, sampler: str = "independent"
+) -> Jit:
+    """Return the Mitsuba scene of stock plugins and our three parts, for the active spectral variant.
+
+    Mitsuba's stratified samplers have less noise, and correlate neighbouring pixels and the dimensions of a path. The
+    mean over a trench of metallic paint is off by 11 mK with "multijitter" and by 15 mK with "stratified".
+    """
     scene.refuse_disagreement()
     scene.refuse_unsolved()
     number = next(_NAMES)
@@ -131,9 +137,7 @@ def mitsuba_scene(mi: Mitsuba, scene: Scene, pose: Floats, integrator: str, dept
         "integrator": {"type": integrator, **({"max_depth": depth, "rr_depth": depth} if integrator == "path" else {})},
         "sensor": {
             "type": lens,
-            # Mitsuba's stratified samplers correlate neighbouring pixels and the dimensions of a path. The mean over a
-            # trench of metallic paint is off by 11 mK with "multijitter" and by 15 mK with "stratified".
-            "sampler": {"type": "independent"},
+            "sampler": {"type": sampler},
             "film": {
                 "type": "specfilm",
                 "width": camera.width,
