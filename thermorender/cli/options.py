@@ -177,7 +177,7 @@ def _one_material(scene: "Scene") -> str | None:
     """A warning if one material covers the terrain of a heat balance, else None."""
     import numpy as np
 
-    kinds = {int(number) for surface in scene.surfaces[: scene.terrain_count] for number in np.unique(surface.material)}
+    kinds = {int(number) for surface in scene.near_ground for number in np.unique(surface.material)}
     if not scene.balanced or len(kinds) > 1:
         return None
     return (

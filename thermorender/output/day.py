@@ -203,7 +203,7 @@ def _row(scene: "Scene", frame: "Frame") -> dict[str, Any]:
         "air_k": float(scene.weather.at(time).air_k),
         "apparent_mean_k": float(frame.apparent_temperature.mean(dtype=np.float64)),
     }
-    terrain = scene.surfaces[: scene.terrain_count]
+    terrain = scene.near_ground
     known = [(surface.flags & FILLED) == 0 for surface in terrain]
     material = np.concatenate([one.material[here] for one, here in zip(terrain, known, strict=True)])
     kelvin = np.concatenate([one.temperature[here] for one, here in zip(terrain, known, strict=True)])

@@ -20,6 +20,7 @@ from thermorender.render.geometry import Hit
 from thermorender.render.pixels.footprint import Climb
 from thermorender.render.spectrum import Spectrum
 from thermorender.scene.scene import Scene
+from thermorender.scene.surface import over_round_earth
 
 # Largest ratio of successive path lengths in a grid, fewest lengths, and largest step in altitude [m].
 _GROWTH = 1.08
@@ -81,25 +82,25 @@ class SceneAir:
         self._seen: dict[int, Floats] = {}
         self._last: tuple[bytes, AirView] | None = None
 
-    def view(self, origin: Floats, box: Floats, clear: bool = False) -> "AirView":
+    def view(self, origin: Floats, box: Floats, low_m: float, clear: bool = False) -> "AirView":
         """Return the AirView from `origin` (3,) [m] to a `box` (2, 3) [m], cached; with `clear`, paths to surfaces have
-        no air."""
+        no air. Nothing in the box is below `low_m`, over a round Earth [m]."""
         if clear:
-            return self._view(origin, box, clear)
+            return self._view(origin, box, low_m, clear)
         # Read and replaced as a whole: another thread may render another view meanwhile.
         key, last = origin.tobytes() + box.tobytes(), self._last
         if last is None or last[0] != key:
-            last = self._last = key, self._view(origin, box, clear)
+            last = self._last = key, self._view(origin, box, low_m, clear)
         return last[1]
 
-    def _view(self, origin: Floats, box: Floats, clear: bool) -> "AirView":
+    def _view(self, origin: Floats, box: Floats, low_m: float, clear: bool) -> "AirView":
         base = self._altitude_m
         camera = float(altitude(origin, base))
         outside = np.maximum(np.maximum(box[0] - origin, origin - box[1]), 0.0)
         nearest = max(float(np.linalg.norm(outside)), 1.0)
         farthest = max(float(np.linalg.norm(np.abs(box - origin).max(axis=0))), 1.01 * nearest)
         corner = np.append(np.abs(box[:, :2]).max(axis=0), box[1, 2])
-        limits = base + box[0, 2], float(altitude(corner, base))
+        limits = base + low_m, float(altitude(corner, base))
 
         def cells(passed: Floats, added: Floats) -> Floats:
             if clear:
@@ -184,6 +185,7 @@ class AirView:
         """Return the radiance at the camera, [Float]; `values` and `climb` as of `Vacuum.at_camera`."""
         mi = self._mi
         point = origin + hit.distance * direction
+        # Far ground is raised by refraction: its altitude is 1 m too high at 10 km, 25 m at 50 km.
         end = self._base + point.z + 0.5 / MEAN_RADIUS_M * (point.x * point.x + point.y * point.y)
         factors = [*values, 1.0]
         total = mi.Float(0.0)
@@ -217,8 +219,15 @@ class AirView:
 
 def altitude(points: ArrayLike, altitude_m: float) -> Floats:
     """Return the altitude above sea level [m] of points (..., 3) of the local frame, over a round Earth."""
-    points = np.asarray(points, dtype=np.float64)
-    return altitude_m + points[..., 2] + np.square(points[..., :2]).sum(axis=-1) * (0.5 / MEAN_RADIUS_M)
+    return altitude_m + over_round_earth(points)
+
+
+def horizon_of(scene: Scene, pose: Floats) -> float:
+    """Return the cosine of the zenith angle of the horizon seen from a pose (4, 4): that of sea level through air, and
+    of a plane without air."""
+    if scene.air is None:
+        return 0.0
+    return float(horizon_cos_zenith(altitude(pose[:3, 3], scene.altitude_m)))
 
 
 def background(air: Atmosphere, camera_m: float, ground_m: float, temperature: float, position: Floats) -> Floats:

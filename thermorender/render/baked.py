@@ -186,10 +186,12 @@ def bake(
     reflected = incident @ solved.mean_reflectance.astype(np.float32)
     varies = texels.variation(geometry, reflected, noise)
     within: Any = 0.0
+    distant = np.repeat([each.far for each in geometry.surfaces], np.diff(geometry.face_start))
     if geometry.has_copies:
         within = leaves.within(geometry, radiosity.openness, known.sky.sum(axis=1), reflected)
         within = np.hypot(within, leaves.emitted(geometry, scene, plan))
-        varies = float(np.sqrt(varies**2 + share @ within**2))
+        near = share if not distant.any() else np.where(distant, 0.0, share) / share[~distant].sum()
+        varies = float(np.sqrt(varies**2 + near @ within**2))
     solution = ((1.0 - spectrum.emissivity).max(axis=0) * solved.bounds).sum()
     rms = [np.sqrt(share @ square) for square in (noise**2, scatter)]
     errors = {"solution": solution, "noise": rms[0], "faces": varies, "texels": rms[1]}
@@ -197,8 +199,11 @@ def bake(
         errors["air"] = np.sqrt(share @ lost**2)
     errors = with_previewed({name: float(value / per_mk) for name, value in errors.items()}, scene)
     report_progress(_SOLVING, 1.0)
-    # Per face, for the error budget of frames.
+    # Per face, for the error budget of frames, which adds `varies` to all.
     square = (noise**2 + scatter + lost**2 + within**2).astype(np.float32)
+    if distant.any():
+        more = texels.variation(geometry, reflected, noise, far=True) ** 2 - varies**2
+        square[distant] += np.float32(max(more, 0.0))
     return BakedScene(
         scene, plan, known, incident, tuple(texel), face, square, black, solved.static, errors, note, loaded
     )

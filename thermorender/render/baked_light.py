@@ -31,8 +31,9 @@ class BakedLight:
     mirror_black: NDArray[Any] | None
     static_light: StaticLight | None  # light of the static scene for dynamic objects; None without them
     # Errors of the reflected light [mK at 300 K]: "solution", the bound from its residual, and root mean squares over
-    # the surfaces: "noise" of the rays, from independent halves, "faces", of light taken as constant over a face, and
-    # "texels", of baking it to texels; with air also "air", an estimate from above, of leaving it out between surfaces.
+    # the surfaces: "noise" of the rays, from independent halves, "faces", of light taken as constant over a face (far
+    # ground has its own in `face_error`), and "texels", of baking it to texels; with air also "air", an estimate from
+    # above, of leaving it out between surfaces.
     # Where temperatures or light preview an edit, "preview" is the largest error of both, and "preview_rms" the root
     # mean square.
     errors_mk: dict[str, float]

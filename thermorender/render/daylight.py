@@ -41,7 +41,8 @@ def daylight(
     for first in range(0, len(texels), _AT_ONCE):
         part = texels[first : first + _AT_ONCE]
         own = across[face[part]]
-        point = texel_points(geometry, part, face[part]) + np.float32(geometry.hair) * own
+        point = texel_points(geometry, part, face[part])
+        point += geometry.hair_at(point) * own
         if normal is not None:
             own = np.where(np.isfinite(normal[part]), normal[part], own)
         upload = lambda values: [mi.Float(aligned(axis)) for axis in values.T]  # noqa: E731

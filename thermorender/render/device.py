@@ -124,7 +124,8 @@ class DeviceScene:
         moved = [item.box(state.pose) for item, state in zip(self.objects, states, strict=True)]
         boxes = np.stack([self.geometry.box, *moved])
         box = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
-        return self.air.view(pose[:3, 3], box, clear=not through_air)
+        low_m = min(self.geometry.low_m, *(float(each[0, 2]) for each in moved), np.inf)
+        return self.air.view(pose[:3, 3], box, low_m, clear=not through_air)
 
     def _lit(
         self, states: Sequence[ObjectState]

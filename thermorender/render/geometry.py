@@ -20,9 +20,11 @@ from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned, 
 from thermorender.render.crown_shadows import CrownShadows
 from thermorender.render.pixels import pyramid, shapes, slender
 from thermorender.scene.scene import Scene
-from thermorender.scene.surface import Surface
+from thermorender.scene.surface import Surface, over_round_earth
 
 _RAYS_AT_ONCE, _FACES_AT_ONCE = 1 << 22, 1 << 20
+# 64 float32 steps, relative to a coordinate.
+_STEPS = 64.0 * 2.0**-24
 # An upward direction that is parallel to hardly any face.
 _ASIDE = (0.3717, 0.4693, 0.8010)
 
@@ -57,10 +59,13 @@ class Geometry:
             if surface.instances is not None:
                 self.area[first : first + len(surface.faces)] = surface.instances.area
         self.share = self.area / max(self.area.sum(), 1e-300)
-        # Largest vertex coordinate along any axis [m].
-        self.reach = max(float(np.abs(surface.vertices).max()) for surface in surfaces)
-        # Smallest offset between points [m]: 64 float32 steps at `reach`.
-        self.hair = 64.0 * 2.0**-24 * (1.0 + self.reach)
+        # Largest vertex coordinate along any axis [m], without far ground and with it.
+        near = [surface for surface in surfaces if not surface.far] or surfaces
+        self.reach, self._far_reach = (
+            max(float(np.abs(surface.vertices).max()) for surface in some) for some in (near, surfaces)
+        )
+        # Smallest offset between points [m]: 64 float32 steps at `reach`; see `lift`.
+        self.hair = _STEPS * (1.0 + self.reach)
         meshes = {
             f"s{number}": shapes.mesh(mi, f"s{number}", surface.vertices, surface.faces)
             for number, surface in enumerate(surfaces)
@@ -97,6 +102,22 @@ class Geometry:
         self._lattice = tuple(mi.Int32(aligned(part, np.int32)) for part in parts)
         # (8 F,): for each face, gradient and offset of the texel map's column, then of its row.
         self.records = mi.Float(aligned(of_faces(surfaces, _map_records, (8,))))
+
+    def lift(self, point: Jit) -> Jit:
+        """Return the smallest offset from points, Float [m]: `hair`, and on far ground 64 float32 steps there."""
+        mi = self.mi
+        hair = dr.opaque(mi.Float, self.hair)
+        if self._far_reach <= self.reach:
+            return hair
+        along = dr.maximum(dr.maximum(dr.abs(point.x), dr.abs(point.y)), dr.abs(point.z))
+        return dr.maximum(hair, dr.opaque(mi.Float, _STEPS) * (1.0 + along))
+
+    def hair_at(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Return `lift` of points (n, 3), (n, 1) float32 [m]."""
+        if self._far_reach <= self.reach:
+            return np.full((len(points), 1), self.hair, np.float32)
+        along = np.abs(points).max(axis=1, keepdims=True)
+        return np.maximum(self.hair, _STEPS * (1.0 + along)).astype(np.float32)
 
     @property
     def has_copies(self) -> bool:
@@ -194,7 +215,7 @@ class Geometry:
         hit = self.cast_solid(ray, coherent=True)
         touches = hit.valid & (hit.distance <= 0.0)
         # Opaque: a literal would compile the kernel again for each scene.
-        aside = dr.opaque(self.mi.Float, self.hair) * self.mi.Vector3f(*_ASIDE)
+        aside = self.lift(ray.o) * self.mi.Vector3f(*_ASIDE)
         beside = self.mi.Ray3f(ray.o + aside, ray.d)
         found = self.hit_of(self.caster.ray_intersect_preliminary(beside, coherent=True, active=touches))
         return Hit(
@@ -272,6 +293,17 @@ class Geometry:
     def box(self) -> Floats:
         """The lowest and the highest corner of the surfaces, (2, 3) [m]."""
         return _box(self.surfaces)
+
+    @cached_property
+    def low_m(self) -> float:
+        """Lowest height of a surface, of far ground over a round Earth [m]."""
+        far = [float(surface.heights_m().min()) for surface in self.surfaces if surface.far]
+        near = _box([surface for surface in self.surfaces if not surface.far] or self.surfaces)
+        return min(float(near[0, 2]), *far, np.inf)
+
+    def heights_m(self, points: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Return heights of points (n, 3), over a round Earth where there is far ground, (n,) [m]."""
+        return points[:, 2] if self._far_reach <= self.reach else over_round_earth(points).astype(points.dtype)
 
     def of_object(self, name: str, first: int) -> "Geometry":
         """Return the Geometry of the surfaces of one object alone, of those from number `first` on."""

@@ -286,7 +286,7 @@ def refuse_surfaces(scene: Scene) -> None:
 
 def _altitudes_m(scene: Scene) -> tuple[float, float]:
     """Altitudes of the lowest and the highest surface above sea level [m]."""
-    height = [float(limit(surface.vertices[:, 2])) for surface in scene.surfaces for limit in (np.min, np.max)]
+    height = [float(limit(surface.heights_m())) for surface in scene.surfaces for limit in (np.min, np.max)]
     return scene.altitude_m + min(height), scene.altitude_m + max(height)
 
 

@@ -17,7 +17,7 @@ from thermorender.physics.planck import band_radiance
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.progress import interactive
 from thermorender.render import truth
-from thermorender.render.air import Vacuum, refuse_camera
+from thermorender.render.air import Vacuum, horizon_of, refuse_camera
 from thermorender.render.arrays import Mitsuba, aligned, opaque_view, view_ray
 from thermorender.render.baked import BakedScene, Progress, bake
 from thermorender.render.dynamic import Objects, object_states
@@ -348,7 +348,8 @@ class Renderer:
         """Return where a pixel's middle is above the horizon without a surface, (H, W); `camera` as of `visible`."""
         view = self._view(pose, time_s, objects)
         layers = self.baked.device.layers(view.pose, view.states)
-        valid, _, up, *_ = truth.pixel_middles(layers, self._camera_rays.of(camera or self.scene.camera))
+        rays, horizon = self._camera_rays.of(camera or self.scene.camera), horizon_of(self.scene, view.pose)
+        valid, _, up, *_ = truth.pixel_middles(layers, rays, horizon)
         return ~valid & up
 
     def depth(self, pose: ArrayLike, camera: Camera | None = None) -> NDArray[np.float32]:

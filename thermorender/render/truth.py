@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from thermorender.physics.band import quadrature
 from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import band_radiance, spectral_radiance
+from thermorender.render.air import horizon_of
 from thermorender.render.arrays import Floats, Jit, aligned, view_ray
 from thermorender.render.dynamic import ObjectState
 from thermorender.render.geometry import Hit
@@ -52,7 +53,7 @@ def truth(
         material, flags = own
         return [warm, material | flags << 8, dr.gather(mi.UInt32, texels.objects, hit.surface, hit.valid), slant]
 
-    seen, (kelvin, kind, number, cosine) = _middles(layers, rays, read, middles)
+    seen, (kelvin, kind, number, cosine) = _middles(layers, rays, read, horizon_of(scene, pose), middles)
     of_material = [dr.gather(mi.Float, table, kind & 255, seen.valid) for table in device.emissivities]
     kind |= dr.select(cosine < 0.0, mi.UInt32(BEHIND << 8), 0)
     nothing = NO_MATERIAL | dr.select(seen.up, mi.UInt32(0), BACKGROUND << 8)
@@ -75,16 +76,19 @@ def truth(
     return images | ({"emissivity_std": others[4]} if len(of_material) > 1 else {})
 
 
-def pixel_middles(layers: Sequence[CasterView], rays: CameraRays) -> tuple[Image, Image, Image, Image]:
+def pixel_middles(
+    layers: Sequence[CasterView], rays: CameraRays, horizon: float = 0.0
+) -> tuple[Image, Image, Image, Image]:
     """Return images (H, W) at the pixels' middles: whether a surface is hit, its texel over all surfaces of the layers,
-    whether the ray points to the horizon or above, and depth along the axis [m], infinite for misses."""
+    whether the ray points to the horizon or above, and depth along the axis [m], infinite for misses. `horizon` is the
+    cosine of its zenith angle."""
     mi = layers[0].geometry.mi
     first = np.cumsum([0, *(int(layer.geometry.texel_start[-1]) for layer in layers)]).tolist()
 
     def read(at: LayerHit) -> list[Jit]:
         return [first[at.number] + at.layer.geometry.nearest(at.hit.surface, *at.place, at.hit.valid)]
 
-    seen, (number,) = _middles(layers, rays, read)
+    seen, (number,) = _middles(layers, rays, read, horizon)
     number = dr.select(seen.valid, number, 0)
     valid, number, up, depth = _images(rays, [mi.UInt32(seen.valid), number, mi.UInt32(seen.up), seen.depth])
     return valid > 0, number, up > 0, depth
@@ -101,15 +105,17 @@ class _Middles:
 
 
 def _middles(
-    layers: Sequence[CasterView], rays: CameraRays, read: Callable[[LayerHit], list[Jit]], known: Hit | None = None
-) -> tuple[_Middles, list[Jit]]:
+    layers: Sequence[CasterView], rays: CameraRays, read: Callable[[LayerHit], list[Jit]], horizon: float,
+    known: Hit | None = None,
+) -> tuple[_Middles, list[Jit]]:  # fmt: skip
     """(surface points at the pixels' middles, values read there); `read` and `known` as of `first_hit`."""
     mi, slope = layers[0].geometry.mi, rays.slopes(0.5, 0.5)
     hit, _, values = first_hit(layers, lambda layer: view_ray(mi, *layer.view, *slope), read, known=known)
     first, distance = view_ray(mi, *layers[0].view, *slope), hit.distance
     # Directions have unit length, so depth along the axis is distance over the length of (slope, 1).
     depth = distance / dr.sqrt(1.0 + slope[0] * slope[0] + slope[1] * slope[1])
-    return _Middles(distance < np.inf, first.d.z >= 0.0, depth, first.o + distance * first.d), values
+    up = first.d.z >= dr.opaque(mi.Float, horizon)
+    return _Middles(distance < np.inf, up, depth, first.o + distance * first.d), values
 
 
 def _images(rays: CameraRays, values: Sequence[Jit]) -> list[Image]:

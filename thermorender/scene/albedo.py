@@ -104,7 +104,7 @@ def notes(scene: "Scene") -> tuple[str, ...]:
     from thermorender.scene import open_ground
 
     std = ASSUMED_STD if spec.albedo_std is None else spec.albedo_std
-    ground = scene.surfaces[: scene.terrain_count]
+    ground = scene.near_ground
     share = shares(ground, ground, len(scene.materials), scene.spec.terrain.mesh is not None)
     used = [(part, area * of) for material, area in zip(scene.materials, share, strict=True) if area > 0.0
             for part, of in parts_of(material) if open_ground.bare(part)]  # fmt: skip

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.materials import library as material_tables
 from thermorender.materials.material import Material, grey
-from thermorender.materials.mixture import parts_of
+from thermorender.materials.mixture import mix, parts_of
+from thermorender.scene.drape import Drape
 from thermorender.scene.folder import SceneFiles
 from thermorender.scene.map_view import MapView
 from thermorender.scene.material_map import Context, Picture, context_of, learned_materials, model_of
@@ -82,12 +83,16 @@ class MaterialList:
         self.unused = set(replaced)
 
     def index(self, name: str, key: str, *by: int | str) -> int:
-        """Return the number of a material by its name; `by` are other keys to replace it by, in order of priority."""
+        """Return the number of a material, which is added where it is new; arguments as of `found`."""
+        return self.add(self.found(name, key, *by))
+
+    def found(self, name: str, key: str, *by: int | str) -> Material:
+        """Return a material by its name; `by` are other keys to replace it by, in order of priority."""
         own = [one for one in (*by, name) if one in self.replaced]
         self.unused -= set(own)
         if own:
-            return self.add(self.replaced[own[0]])
-        return self.add(material_tables.find(self.library, name, f"{self.where}: {key}"))
+            return self.replaced[own[0]]
+        return material_tables.find(self.library, name, f"{self.where}: {key}")
 
     def add(self, material: Material) -> int:
         """Return the number of a material, which is added where it is new."""
@@ -111,14 +116,17 @@ def cover_of(files: SceneFiles, covering: Covering, snow: bool, where: str) -> C
     no_snow = "" if snow else WHY
     materials = MaterialList(files.library, replaced, covering.band_um, where)
     report: dict[str, Any] = {}
-    if files.grid is None:
-        ground = _mesh_cover(files, emissivity, surfaces, materials, report, no_snow)
-    else:
-        ground = [_raster_cover(files, files.ground[0], emissivity, materials, report, no_snow)]
+    ground = _mesh_cover(files, emissivity, surfaces, materials, report, no_snow) if files.textures else []
+    for surface, drape in zip(files.ground[len(files.textures) :], files.drapes, strict=True):
+        # The report is on the scene itself.
+        ground.append(_raster_cover(surface, drape, emissivity, materials, {} if surface.far else report, no_snow))
     if painted:
         # A mesh has its own colours.
-        coloured = files.grid is not None and files.colour is None
-        ground = [_painted(own, k, files.map_view, painted, materials, coloured) for k, own in enumerate(ground)]
+        coloured = files.grid is not None and files.drapes[0].colour is None
+        near = len(files.near)
+        ground[:near] = [
+            _painted(own, k, files.map_view, painted, materials, coloured) for k, own in enumerate(ground[:near])
+        ]
     numbers = tuple(materials.index(material, f"object {name!r}", OBJECT + name) for name, material in objects)
     for key in materials.unused:
         known = dict.fromkeys(part.name for each in materials.used for part, _ in parts_of(each))
@@ -135,45 +143,42 @@ def _key_words(key: int | str) -> str:
 
 
 def _raster_cover(
-    files: SceneFiles,
     surface: Surface,
+    drape: Drape,
     emissivity: EmissivitySpec,
     materials: MaterialList,
     report: dict[str, Any],
     no_snow: str,
 ) -> Painted:
-    shape, colour = surface.flags.shape, files.colour
+    """The Painted of a raster ground: by its classes, else by [emissivity]."""
+    shape, colour = surface.flags.shape, drape.colour
     valid, unknown = np.ones(shape, dtype=bool), np.zeros(shape, dtype=bool)
-    if files.valid is not None:
-        valid = files.valid.copy()
-    if emissivity.source == "learned":
-        if files.colour is None:
-            raise ThermorenderError(
-                f"{materials.where}: a learned emissivity map reads materials from an orthophoto; add "
-                "terrain.orthophoto"
-            )
-        filled = files.colour if valid.all() else fill(files.colour, nearest_valid(valid))
-        assert files.height is not None and files.grid is not None
-        picture = Picture(filled, valid, surface.texel_m,
-                          context_of(emissivity, *files.height, files.grid, surface.texel_m))  # fmt: skip
-        (material,), (unknown,) = _learned([picture], emissivity, materials, report, no_snow)
-    elif emissivity.source == "classes" and files.classes is not None:
+    if drape.valid is not None:
+        valid = drape.valid.copy()
+    if drape.classes is not None and emissivity.source in (("classes", "learned") if surface.far else ("classes",)):
+        name = f"{drape.classes_file}"
         material, known, unknown, share = _of_classes(
-            files.classes, valid, files.on_ground, f"{emissivity.raster}", emissivity, materials
+            drape.classes, valid, drape.on_ground, name, emissivity, materials, drape.mixed
         )
         if share > 0.0:
             rest = emissivity.fallback or "the class beside them"
-            report.update(model=f"{emissivity.raster}", fallback=rest, share_unknown=share)
+            report.update(model=name, fallback=rest, share_unknown=share)
         valid &= known
+    elif emissivity.source == "learned" and drape.colour is not None:
+        filled = drape.colour if valid.all() else fill(drape.colour, nearest_valid(valid))
+        assert drape.height is not None
+        picture = Picture(filled, valid, surface.texel_m,
+                          context_of(emissivity, *drape.height, drape.grid, surface.texel_m))  # fmt: skip
+        (material,), (unknown,) = _learned([picture], emissivity, materials, report, no_snow)
     else:
-        material = np.full(shape, _single(emissivity, materials), np.uint8)
+        material = np.full(shape, _one_material(surface, emissivity, materials), np.uint8)
     if colour is None:
         colour = np.array([m.colour for m in materials.used], dtype=np.uint8)[material]
     if not valid.all():
         index = nearest_valid(valid)
         colour, material = fill(colour, index), fill(material, index)
-    if files.filled is not None:
-        valid &= ~files.filled
+    if drape.filled is not None:
+        valid &= ~drape.filled
     flags = np.full(shape, SURFACE, np.uint8)
     flags[~valid] |= FILLED
     flags[unknown] |= UNKNOWN
@@ -182,12 +187,17 @@ def _raster_cover(
 
 def _of_classes(
     classes: NDArray[np.uint8], valid: NDArray[np.bool_], on_ground: NDArray[np.bool_] | None, name: str,
-    emissivity: EmissivitySpec, materials: MaterialList,
+    emissivity: EmissivitySpec, materials: MaterialList, mixed: Sequence[Mapping[int, float]] = (),
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_], NDArray[np.bool_], float]:  # fmt: skip
-    """(material numbers, where they are known, where they are the fallback, share without a class) of class numbers."""
+    """(material numbers, where they are known, where they are the fallback, share without a class) of class numbers,
+    or of numbers of the `mixed` shares of classes."""
     lookup = np.full(256, 255, dtype=np.uint8)
     lookup[0] = 0
-    for value, material in emissivity.classes.items():
+    for number, parts in enumerate(mixed, 1):
+        pure = [(materials.found(emissivity.classes[value], f"emissivity.classes.{value}", value), share)
+                for value, share in parts.items()]  # fmt: skip
+        lookup[number] = materials.add(mix(_joined(pure)))
+    for value, material in emissivity.classes.items() if not mixed else ():
         lookup[value] = materials.index(material, f"emissivity.classes.{value}", value)
     known, unknown = classes != 0, np.zeros(classes.shape, bool)
     share = open_share(~known & valid, on_ground)
@@ -202,6 +212,26 @@ def _of_classes(
     return lookup[classes], known, unknown, share
 
 
+def _joined(parts: Sequence[tuple[Material, float]]) -> list[tuple[Material, float]]:
+    """(Material, share) pairs in which each material occurs once: several classes may have the same."""
+    share = dict[int, float]()
+    for material, part in parts:
+        share[id(material)] = share.get(id(material), 0.0) + part
+    return [(material, share[id(material)]) for material in {id(one): one for one, _ in parts}.values()]
+
+
+def _one_material(surface: Surface, emissivity: EmissivitySpec, materials: MaterialList) -> int:
+    """The number of the one material of a raster ground without classes or colours."""
+    if emissivity.source not in ("classes", "learned"):
+        return _single(emissivity, materials)
+    if not emissivity.fallback:
+        raise ThermorenderError(
+            f"{materials.where}: {surface.name} ground has no class raster; give terrain.far.classes, or name the "
+            "material of the rest as emissivity.fallback"
+        )
+    return materials.index(emissivity.fallback, "emissivity.fallback")
+
+
 def _mesh_cover(
     files: SceneFiles, emissivity: EmissivitySpec, surfaces: Sequence[SurfaceSpec], materials: MaterialList,
     report: dict[str, Any], no_snow: str,
@@ -214,7 +244,7 @@ def _mesh_cover(
     stated = stating(textures, surfaces, ("material", "classes"), where)
     found: list[Painted | None] = []
     missing: list[tuple[float, float]] = []
-    for surface, texture, edit, own in zip(files.ground, textures, edited, stated, strict=True):
+    for surface, texture, edit, own in zip(files.near, textures, edited, stated, strict=True):
         number: int | None
         if edit is not None:
             key = SURFACE_OF_MESH + edits[edit]

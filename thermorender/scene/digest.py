@@ -40,8 +40,9 @@ def digest(
             copies = own.pop("instances")
             if own["scatter_k"] is None:
                 own.pop("scatter_k")
-            if not own["inner_w_m2"]:
-                own.pop("inner_w_m2")
+            for name in ("inner_w_m2", "far"):
+                if not own[name]:
+                    own.pop(name)
             for value in (*own.values(), *(vars(copies).values() if copies is not None else ())):
                 state.update(_bytes(value))
         for material in materials:

@@ -13,16 +13,26 @@ from thermorender.errors import ThermorenderError, ThermorenderWarning, shortene
 from thermorender.materials import library as material_tables
 from thermorender.materials.material import Material
 from thermorender.physics.geodesy import FARTHEST_M, LocalFrame
-from thermorender.scene import map_view, terrain
+from thermorender.scene import far_ground, map_view, terrain
 from thermorender.scene.crowns import COLUMNS, KELVIN
+from thermorender.scene.drape import (
+    Drape,
+    classes_on,
+    coarser,
+    mixed_classes_on,
+    on_ground,
+    refuse_unnamed,
+    require_overlap,
+)
+from thermorender.scene.far_ground import GroundPlan
 from thermorender.scene.georeference import place_of
 from thermorender.scene.instances import read_places
 from thermorender.scene.map_view import MapView
 from thermorender.scene.meshes import mesh
 from thermorender.scene.meshes.axes import object_doubts, terrain_doubts, vector_area
 from thermorender.scene.orthophoto import read_colour
-from thermorender.scene.raster import Grid, bounds_in, grid_of, on_map, onto, read_classes
-from thermorender.scene.spec import ObjectSpec, SceneSpec
+from thermorender.scene.raster import Grid, grid_of, on_map, onto, read_classes
+from thermorender.scene.spec import FarSpec, ObjectSpec, SceneSpec
 from thermorender.scene.surface import FILLED, SURFACE, Surface, scene_kelvin
 from thermorender.scene.textures import Texture, areas, named, onto_texels, stating, texel_size_m
 from thermorender.scene.tracks import TrackedObject, read_columns, read_track
@@ -33,34 +43,43 @@ class SceneFiles:
     """The content of a scene folder."""
 
     frame: LocalFrame | None
-    grid: Grid | None  # Map grid of the terrain's texels; None for a mesh
-    ground: tuple[Surface, ...]  # The terrain, not refined yet; materials and temperatures are placeholders
-    colour: NDArray[np.uint8] | None  # (h, w, 3) uint8 the orthophoto with its holes; None without one
-    valid: NDArray[np.bool_] | None  # (h, w) bool where the orthophoto has colour
-    # (h, w) uint8 class numbers on the texel grid, 0 for no data; None without a class raster
-    classes: NDArray[np.uint8] | None
-    filled: NDArray[np.bool_] | None  # (h, w) bool where heights were filled; None where none were
-    on_ground: NDArray[np.bool_] | None  # (h, w) bool texels on the terrain; None if all of them are
-    objects: tuple[TrackedObject, ...]  # Every object, in its own frame; one without a track has one row
+    # The terrain, not refined yet: the parts of a mesh, then raster ground; materials and temperatures are placeholders
+    ground: tuple[Surface, ...]
+    textures: tuple[Texture, ...]  # Of each part of a mesh
+    drapes: tuple[Drape, ...]  # Of each raster ground
     library: Mapping[str, Material]
-    textures: tuple[Texture, ...] = ()  # One per surface of a mesh; empty for a raster terrain
-    # ((h, w) float64 the elevation raster beside an orthophoto
-    height: tuple[NDArray[np.float64], Grid] | None = None
+    objects: tuple[TrackedObject, ...] = ()  # Every object, in its own frame; one without a track has one row
+
+    @property
+    def grid(self) -> Grid | None:
+        """Map grid of the terrain's texels; None for a mesh."""
+        return None if self.textures else self.drapes[0].grid
+
+    @property
+    def near(self) -> tuple[Surface, ...]:
+        """The terrain without far ground."""
+        return tuple(surface for surface in self.ground if not surface.far)
 
     @cached_property
     def map_view(self) -> MapView | None:
-        """The terrain as a map shows it; None for a mesh without [frame], and for one of walls and leaves only."""
+        """The terrain without far ground as a map shows it; None for a mesh without [frame], and for one of walls and
+        leaves only."""
         if self.grid is not None:
             return map_view.of_raster(self.grid)
         place = place_of(self.frame, None)
-        return None if place is None else map_view.of_mesh(self.ground, self.textures, place)
+        return None if place is None else map_view.of_mesh(self.near, self.textures, place)
 
 
 def read_files(spec: SceneSpec, where: str) -> SceneFiles:
     """Return the SceneFiles of a scene file."""
     own = spec.folder / "materials"
     library = material_tables.load_library(own if own.is_dir() else None)
-    parts = _raster_terrain(spec, where, library) if spec.terrain.elevation else _mesh_terrain(spec, where, library)
+    if spec.terrain.elevation:
+        parts, inside = _raster_terrain(spec, where, library)
+    else:
+        parts, inside = _mesh_terrain(spec, where, library), None
+    if spec.terrain.far:
+        parts = _with_far(spec, parts, inside or far_ground.of_mesh(parts.ground), where)
     files = replace(parts, objects=tuple(_object(item, spec.folder, where) for item in spec.objects))
     for doubt in _doubts(spec, files):
         warnings.warn(f"{where}: {doubt}", ThermorenderWarning, stacklevel=3)
@@ -69,11 +88,11 @@ def read_files(spec: SceneSpec, where: str) -> SceneFiles:
 
 def _doubts(spec: SceneSpec, files: SceneFiles) -> Iterator[str]:
     """Sentences on meshes that look as if they were in another frame or unit."""
-    ends = [each(surface.vertices, axis=0) for surface in files.ground for each in (np.min, np.max)]
+    ends = [each(surface.vertices, axis=0) for surface in files.near for each in (np.min, np.max)]
     extent = np.ptp(ends, axis=0)
     if spec.terrain.mesh:
         path = spec.terrain.mesh
-        facing = np.sum([vector_area(surface.vertices, surface.faces) for surface in files.ground], axis=0)
+        facing = np.sum([vector_area(surface.vertices, surface.faces) for surface in files.near], axis=0)
         yield from terrain_doubts(f"the mesh {path.name}", extent, facing, spec.terrain.axes, mesh.up_of(path))
     for one in files.objects:
         if one.item.file:
@@ -86,21 +105,24 @@ def _doubts(spec: SceneSpec, files: SceneFiles) -> Iterator[str]:
             yield from object_doubts(what, triangles, one.item.axes, own, above_m, float(extent.max()))
 
 
-def _raster_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]) -> SceneFiles:
+def _heights(
+    path: Path, reference: str, spec: SceneSpec
+) -> tuple[NDArray[np.float64], Grid]:  # fmt: skip
+    """(heights above the ellipsoid (h, w) [m], their Grid) of an elevation raster."""
+    height, grid = terrain.read_elevation(path)
+    return height + (spec.terrain.geoid_undulation_m or 0.0 if reference == "geoid" else 0.0), grid
+
+
+def _raster_terrain(
+    spec: SceneSpec, where: str, library: Mapping[str, Material]
+) -> tuple[SceneFiles, GroundPlan]:  # fmt: skip
     source = spec.terrain
     assert source.elevation is not None
-    height, grid = terrain.read_elevation(source.elevation)
-    if source.height_reference == "geoid":
-        height = height + (source.geoid_undulation_m or 0.0)
+    height, grid = _heights(source.elevation, source.height_reference, spec)
     height, made = terrain.filled(height) if source.fill else (height, None)
     frame = LocalFrame(*spec.frame) if spec.frame else terrain.frame_of(height, grid)
     texels = _texel_grid(spec, grid)
-    if texels.crs != grid.crs:
-        raise ThermorenderError(
-            f"{texels.name} has CRS {texels.crs.to_string()} but {grid.name} has {grid.crs.to_string()}; convert both "
-            "with `thermorender import-terrain`"
-        )
-    _require_overlap(texels, grid)
+    _require_alike(texels, grid)
     try:
         vertices, faces, uv = terrain.mesh(height, grid, frame, texels)
     except MemoryError:
@@ -113,31 +135,74 @@ def _raster_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]
         raise ThermorenderError(
             f"{where}: frame is {away / 1e3:.0f} km from {grid.name}; give a position on it, or leave [frame] out"
         )
-    shape = (texels.height, texels.width)
-    colour = valid = None
-    if source.orthophoto:
-        colour, valid = read_colour(source.orthophoto)
-        if not valid.any():
-            raise ThermorenderError(f"{source.orthophoto} is empty: every texel is masked; give another orthophoto")
-    elif spec.emissivity.source == "learned":
+    if not source.orthophoto and spec.emissivity.source == "learned":
         raise ThermorenderError(
             f"{where}: emissivity.source='learned' reads materials from an orthophoto; add terrain.orthophoto"
         )
-    classes = _classes(spec, texels, where) if spec.emissivity.source == "classes" else None
-    surface = _surface("terrain", vertices, faces, uv, shape, terrain.texel_size_m(texels, frame))
-    filled = None if made is None else onto(made.astype(np.float32), grid, texels, "max") == 1.0
-    on_ground = _on_ground(height, grid, texels)
-    kept = (height, grid) if source.orthophoto else None
-    return SceneFiles(frame, texels, (surface,), colour, valid, classes, filled, on_ground, (), library, height=kept)
+    surface = _surface(
+        "terrain", vertices, faces, uv, (texels.height, texels.width), terrain.texel_size_m(texels, frame)
+    )
+    drape = _drape(source.orthophoto, height, grid, texels)
+    if made is not None:
+        drape = replace(drape, filled=onto(made.astype(np.float32), grid, texels, "max") == 1.0)
+    if spec.emissivity.source == "classes":
+        assert spec.emissivity.raster is not None
+        classes = classes_on(spec.emissivity.raster, spec.emissivity.classes, texels, where)
+        drape = replace(drape, classes=classes, classes_file=spec.emissivity.raster)
+    inside = far_ground.of_raster(vertices, height, grid, frame)
+    return SceneFiles(frame, (surface,), (), (drape,), library), inside
 
 
-def _on_ground(height: NDArray[np.float64], grid: Grid, texels: Grid) -> NDArray[np.bool_] | None:
-    """Texels on posts with a height, (h, w); None if all of them are."""
-    known = np.isfinite(height)
-    if known.all() and grid.same_as(texels):
-        return None
-    found: NDArray[np.bool_] = onto(known.astype(np.float32), grid, texels, "nearest") == 1.0
-    return None if found.all() else found
+def _require_alike(texels: Grid, grid: Grid) -> None:
+    """Refuse rasters of another map or area than their elevation's."""
+    if texels.crs != grid.crs:
+        raise ThermorenderError(
+            f"{texels.name} has CRS {texels.crs.to_string()} but {grid.name} has {grid.crs.to_string()}; convert both "
+            "with `thermorender import-terrain`"
+        )
+    require_overlap(texels, grid)
+
+
+def _drape(orthophoto: Path | None, height: NDArray[np.float64], grid: Grid, texels: Grid) -> Drape:
+    """The Drape of a raster ground without its classes."""
+    colour = valid = None
+    if orthophoto:
+        colour, valid = read_colour(orthophoto)
+        if not valid.any():
+            raise ThermorenderError(f"{orthophoto} is empty: every texel is masked; give another orthophoto")
+    kept = (height, grid) if orthophoto else None
+    return Drape(texels, colour, valid, on_ground=on_ground(height, grid, texels), height=kept)
+
+
+def _with_far(spec: SceneSpec, files: SceneFiles, inside: GroundPlan, where: str) -> SceneFiles:
+    """Files with the far ground around those of the scene."""
+    around, ground, drapes = [inside], list(files.ground), list(files.drapes)
+    for number, one in enumerate(spec.terrain.far, 1):
+        name = "far" if len(spec.terrain.far) == 1 else f"far {number}"
+        surface, drape, footprint = _far(one, name, spec, files.frame, around, where)
+        ground.append(surface)
+        drapes.append(drape)
+        around.append(footprint)
+    return replace(files, ground=tuple(ground), drapes=tuple(drapes))
+
+
+def _far(
+    one: FarSpec, name: str, spec: SceneSpec, frame: LocalFrame | None, around: Sequence[GroundPlan], where: str
+) -> tuple[Surface, Drape, GroundPlan]:  # fmt: skip
+    """(Surface, Drape, GroundPlan) of one far ground."""
+    assert frame is not None
+    height, grid = _heights(one.elevation, one.height_reference or spec.terrain.height_reference, spec)
+    finest = one.orthophoto or one.classes
+    texels = grid if finest is None else grid_of(finest) if one.orthophoto else coarser(grid_of(finest))
+    _require_alike(texels, grid)
+    far_ground.refuse_finer(grid, terrain.texel_size_m(grid, frame), around)
+    (vertices, faces, uv), footprint = far_ground.far_mesh(height, grid, frame, texels, around)
+    surface = _surface(name, vertices, faces, uv, (texels.height, texels.width), terrain.texel_size_m(texels, frame))
+    drape = _drape(one.orthophoto, height, grid, texels)
+    if one.classes:
+        numbers, mixed = mixed_classes_on(one.classes, spec.emissivity.classes, texels, where)
+        drape = replace(drape, classes=numbers, mixed=mixed, classes_file=one.classes)
+    return replace(surface, far=True), drape, footprint
 
 
 def _texel_grid(spec: SceneSpec, elevation_grid: Grid) -> Grid:
@@ -146,42 +211,6 @@ def _texel_grid(spec: SceneSpec, elevation_grid: Grid) -> Grid:
         if path:
             return grid_of(path)
     return elevation_grid
-
-
-def _require_overlap(one: Grid, other: Grid) -> None:
-    a, b = bounds_in(other.crs, one), other.bounds
-    if min(a[2], b[2]) <= max(a[0], b[0]) or min(a[3], b[3]) <= max(a[1], b[1]):
-        raise ThermorenderError(
-            f"{one.name} covers {_extent(a)} and {other.name} covers {_extent(b)}: they do not overlap; "
-            "give rasters of the same area"
-        )
-
-
-def _extent(bounds: tuple[float, ...]) -> str:
-    return f"x {bounds[0]:.0f}…{bounds[2]:.0f}, y {bounds[1]:.0f}…{bounds[3]:.0f}"
-
-
-def _classes(spec: SceneSpec, texels: Grid, where: str) -> NDArray[np.uint8]:
-    """Class numbers on the texel grid, (h, w) uint8; 0 for no data."""
-    source = spec.emissivity
-    assert source.raster is not None
-    grid = grid_of(source.raster)
-    _require_overlap(grid, texels)
-    classes: NDArray[np.uint8] = onto(read_classes(source.raster), grid, texels, "nearest")
-    _refuse_unnamed(classes, source.raster, spec, where)
-    return classes
-
-
-def _refuse_unnamed(classes: NDArray[np.uint8], path: Path, spec: SceneSpec, where: str) -> None:
-    """Refuse class numbers without a material, and none but 0."""
-    for value in np.unique(classes[classes != 0]):
-        if value not in spec.emissivity.classes:
-            raise ThermorenderError(
-                f"{path} holds class {value}, which emissivity.classes of {where} does not name; "
-                "add it there (0 marks no data)"
-            )
-    if not classes.any():
-        raise ThermorenderError(f"{path} has no class in it, only 0 (no data); give a raster of class numbers")
 
 
 def _mesh_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]) -> SceneFiles:
@@ -193,7 +222,7 @@ def _mesh_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]) 
     unseen = [one is not None and one.inferred for one in stating(textures, spec.surfaces, ("inferred",), where)]
     ground = tuple(_flagged(surface, inferred) for surface, inferred in zip(ground, unseen, strict=True))
     frame = LocalFrame(*spec.frame) if spec.frame else None
-    files = SceneFiles(frame, None, ground, None, None, None, None, None, (), library, textures)
+    files = SceneFiles(frame, ground, textures, (), library)
     return replace(files, textures=_with_classes(spec, files, where))
 
 
@@ -211,8 +240,8 @@ def _with_classes(spec: SceneSpec, files: SceneFiles, where: str) -> tuple[Textu
     found = list(textures)
     classed = raster if spec.emissivity.source == "classes" else None
     map_view = files.map_view if classed and on_map(classed) else None
-    if map_view is not None:
-        numbers = _classes(spec, map_view.grid, where)
+    if map_view is not None and classed is not None:
+        numbers = classes_on(classed, spec.emissivity.classes, map_view.grid, where)
         for k in rest:
             shown = map_view.seen(k)
             if shown.any():
@@ -229,7 +258,7 @@ def _with_classes(spec: SceneSpec, files: SceneFiles, where: str) -> tuple[Textu
     for k, path in enumerate(paths):
         if path is not None:
             numbers = onto_texels(read_classes(path).astype(np.uint8), path, files.ground[k], textures[k])
-            _refuse_unnamed(numbers, path, spec, where)
+            refuse_unnamed(numbers, path, spec.emissivity.classes, where)
             found[k] = replace(textures[k], classes=numbers)
     return tuple(found)
 

@@ -169,8 +169,8 @@ class Scene:
         """
         count = len(surfaces) if terrain_count is None else terrain_count
         ground, static = tuple(surfaces[:count]), tuple(surfaces[count:])
-        highest_m = max(float(surface.vertices[:, 2].max()) for surface in surfaces)
-        shape = Shape(None, None, ground, None, static, (), (), (), highest_m)
+        highest_m = max(float(surface.heights_m().max()) for surface in surfaces)
+        shape = Shape(None, ground, static, (), (), (), highest_m)
         painted = tuple(Painted(each.material, each.colour, each.flags) for each in ground)
         declared = Declared(replace(spec, atmosphere=None), camera, last_sky=spec.sky_temperature)
         return cls(stages.made_in_memory(declared, shape, Cover((), painted, (), {}), tuple(materials)))
@@ -208,7 +208,12 @@ class Scene:
     def main_surface(self) -> Surface:
         """The terrain's Surface with the most texels: its raster, or the ground of a mesh in whose texels figures and
         notes are."""
-        return max(self.surfaces[: self.terrain_count], key=lambda surface: surface.material.size)
+        return max(self.near_ground, key=lambda surface: surface.material.size)
+
+    @property
+    def near_ground(self) -> tuple[Surface, ...]:
+        """The terrain's Surfaces without the far ground around the scene."""
+        return tuple(surface for surface in self.surfaces[: self.terrain_count] if not surface.far)
 
     @property
     def sky_temperature(self) -> float:
@@ -615,8 +620,9 @@ class Scene:
         painted = tuple(Painted(s.material, s.colour, s.flags & ~np.uint8(FALLBACK | UNMOVED)) for s in ground)
         shape = replace(
             shape, ground=ground, static=static, static_of=(), tracked=self.tracked_objects, tracked_of=(),
-            textures=(), balanced=shape.balanced if surfaces is None else 0, inner_1_m2=(),
-            highest_m=max(float(surface.vertices[:, 2].max()) for surface in shown),
+            textures=(), drapes=() if shape.textures else shape.drapes,
+            balanced=shape.balanced if surfaces is None else 0, inner_1_m2=(),
+            highest_m=max(float(surface.heights_m().max()) for surface in shown),
         )  # fmt: skip
         cover = Cover((), painted, (), self.emissivity_report)
         return self._edited(stages.made_in_memory(now, shape, cover, made))
@@ -771,7 +777,7 @@ class Scene:
                 )
             new = material_of("material", chosen, files.library, "with_material_in")
             cells = texels_in(geometry, map_view.grid, name)
-            if not any(map_view.onto(k, cells).any() for k in range(len(files.ground))):
+            if not any(map_view.onto(k, cells).any() for k in range(len(files.near))):
                 raise ThermorenderError(
                     f"{name} covers no texel of a ground or roof that is seen from above; draw it on one"
                 )

@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene import crowns, instances
+from thermorender.scene.drape import Drape
+from thermorender.scene.far_ground import stitched
 from thermorender.scene.folder import SceneFiles
 from thermorender.scene.ground import Ground
 from thermorender.scene.raster import Grid
@@ -36,18 +37,27 @@ class Shape:
     """Surfaces of a scene without what covers them."""
 
     frame: LocalFrame | None
-    grid: Grid | None
     ground: tuple[Surface, ...]  # The terrain
-    on_ground: NDArray[np.bool_] | None  # (h, w) bool texels on the terrain; None if all of them are
     static: tuple[Surface, ...]  # Of objects without a track, in the scene's frame
     static_of: tuple[int, ...]  # Number of the object that each of `static` belongs to
     tracked: tuple[TrackedObject, ...]
     tracked_of: tuple[int, ...]  # Number of the object of each of `tracked`
     highest_m: float  # Highest vertex of terrain and objects, along their tracks too [m]
-    # One per surface of a mesh; empty for a raster terrain and for surfaces made in memory
+    # Of each part of a mesh, and of each raster ground, which follow them; empty for surfaces made in memory
     textures: tuple[Texture, ...] = ()
+    drapes: tuple[Drape, ...] = ()
     balanced: int = 0  # Number of `static`, the first ones, whose temperatures the heat balance solves
     inner_1_m2: tuple[float, ...] = ()  # Share of its object's inner heat on a square metre of each of `static` [m⁻²]
+
+    @property
+    def grid(self) -> Grid | None:
+        """Map grid of the texels of a raster terrain."""
+        return self.drapes[0].grid if self.drapes and not self.textures else None
+
+    def drape(self, number: int) -> Drape | None:
+        """Return the Drape of a ground by its number; None for a part of a mesh, and for one made in memory."""
+        own = number - len(self.textures)
+        return self.drapes[own] if 0 <= own < len(self.drapes) else None
 
 
 def shape_of(files: SceneFiles, placements: Sequence[Placement], held: Held, where: str) -> Shape:
@@ -69,7 +79,7 @@ def shape_of(files: SceneFiles, placements: Sequence[Placement], held: Held, whe
     tracked = [posed[number] for number in tracked_of]
     along = [surface for one in tracked for values in one.stations()
              for surface in _placed(one, values, ground, where)]  # fmt: skip
-    highest = max(float(surface.vertices[:, 2].max()) for surface in (*files.ground, *static, *along))
+    highest = max(float(surface.heights_m().max()) for surface in (*files.ground, *static, *along))
     # The light beside many copies is not resolved by finer ground: the budget has its error.
     bodies = [surface for surface in static if surface.instances is None]
     finer, done = refined(files.ground, bodies, along)
@@ -79,11 +89,13 @@ def shape_of(files: SceneFiles, placements: Sequence[Placement], held: Held, whe
         with_texel_per_face(surface) if surface.instances is None and number < balanced else surface
         for number, surface in enumerate(static)
     ]
+    near = [surface if surface.far else evened(surface) for surface in finer]
+    for number, surface in enumerate(near):
+        if surface.far:
+            near[number] = stitched(surface, near[:number])
     return Shape(
         frame=files.frame,
-        grid=files.grid,
-        ground=tuple(evened(surface) for surface in finer),
-        on_ground=files.on_ground,
+        ground=tuple(near),
         static=tuple(static),
         static_of=tuple(static_of),
         tracked=tuple(
@@ -92,6 +104,7 @@ def shape_of(files: SceneFiles, placements: Sequence[Placement], held: Held, whe
         tracked_of=tuple(tracked_of),
         highest_m=highest,
         textures=files.textures,
+        drapes=files.drapes,
         balanced=balanced,
         inner_1_m2=tuple(inner),
     )

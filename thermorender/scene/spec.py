@@ -155,8 +155,29 @@ def _of_mesh_file(where: Where, given: Mapping[str, Any], is_mesh: bool, name: s
 
 
 @dataclass(frozen=True)
+class FarSpec:
+    """Coarser ground around the scene, or around the far ground before it."""
+
+    elevation: Path = key(raster_inside)
+    orthophoto: Path | None = key(raster_inside, None)
+    # Class numbers, whose materials [emissivity.classes] names; a texel of several pixels has their shares.
+    classes: Path | None = key(raster_inside, None)
+    # Kelvin, or a raster of it, in place of those of [temperature]; a heat balance solves far ground itself.
+    temperature: "float | Path | None" = key(kelvin_or_raster, None)
+    # Of its heights; by default as those of the terrain.
+    height_reference: str | None = key(choice("ellipsoid", "geoid"), None)
+
+
+def far_grounds(value: Any, where: Where) -> "tuple[FarSpec, ...]":
+    """Read one table of far ground, or a list of them from the inner to the outer one."""
+    if not isinstance(value, list):
+        return (read(FarSpec, value, where),)
+    return tuple(read(FarSpec, item, replace(where, key=f"{where.key} {n}")) for n, item in enumerate(value, 1))
+
+
+@dataclass(frozen=True)
 class TerrainSpec:
-    """Ground of the scene: an elevation raster with an orthophoto, or one textured mesh."""
+    """Ground of the scene: an elevation raster with an orthophoto, or one textured mesh; and far ground around it."""
 
     elevation: Path | None = key(raster_inside, None)
     mesh: Path | None = key(file_inside, None)
@@ -169,6 +190,7 @@ class TerrainSpec:
     up: str | None = key(choice("y", "z"), None)
     scale_to_m: float = key(scale, 1.0)
     flip: bool = key(flag, False)
+    far: tuple[FarSpec, ...] = key(far_grounds, ())
 
     @property
     def axes(self) -> Axes:
@@ -521,8 +543,19 @@ class SceneSpec:
             )
         if self.emissivity.source == "classes" and not (self.terrain.mesh or self.emissivity.raster):
             raise where.error("emissivity.raster is missing; source='classes' needs it")
-        if any(one.classes for one in self.surfaces) and not self.emissivity.classes:
-            raise where.error("surface.classes needs the materials of its numbers; add [emissivity.classes]")
+        for name, items in (("surface", self.surfaces), ("terrain.far", self.terrain.far)):
+            if any(one.classes for one in items) and not self.emissivity.classes:
+                raise where.error(f"{name}.classes needs the materials of its numbers; add [emissivity.classes]")
+        if any(one.classes for one in self.terrain.far) and self.emissivity.source not in ("classes", "learned"):
+            raise where.error(
+                f"terrain.far.classes is given, and emissivity.source={self.emissivity.source!r} gives all ground one "
+                "material; leave it out, or give emissivity.source='classes'"
+            )
+        if self.terrain.far and self.terrain.mesh and self.frame is None:
+            raise where.error(
+                "terrain.far lies on a map, and this mesh has no place on it; add [frame] with latitude_deg, "
+                "longitude_deg and height_m"
+            )
 
 
 def read_scene(folder: Path | str) -> SceneSpec:

@@ -313,7 +313,7 @@ def materials(
     assert files is not None
     found = [within_band(material, band_um, files.library, where) for material in cover.tables]
     if albedo is not None:
-        share = shares(files.ground, cover.ground, len(found), spec_terrain.mesh is not None)
+        share = shares(files.near, cover.ground[: len(files.near)], len(found), spec_terrain.mesh is not None)
         found = with_albedo(found, share, albedo, where)
     return tuple(found)
 
@@ -354,6 +354,11 @@ def covered(
     """Return the materials that temperatures depend on; None where they are the same on any material."""
     plain = given_kelvin is not None or spec_temperature.source in ("constant", "raster")
     return None if given or (plain and not follows) else (cover, materials)
+
+
+def far_temperatures(spec_terrain: TerrainSpec) -> "tuple[float | Path | None, ...]":
+    """Return the own temperature of each far ground."""
+    return tuple(one.temperature for one in spec_terrain.far)
 
 
 # (Temperature [K], a table of them, None where the heat balance solves it; inner heat [W]) of each object.
@@ -462,11 +467,12 @@ def surroundings_temperature(
     spec_surroundings_temperature: float | None, refuse_unsolved: Callable[[], None], surfaces: tuple[Surface, ...],
     terrain_count: int,
 ) -> float:  # fmt: skip
-    """Return the temperature of the black background beyond the terrain's edge [K]: as stated, else its mean."""
+    """Return the temperature of the black background beyond the terrain's edge [K]: as stated, else the mean of the
+    terrain without far ground."""
     if spec_surroundings_temperature is not None:
         return float(spec_surroundings_temperature)
     refuse_unsolved()
-    terrain = [surface.temperature.ravel() for surface in surfaces[:terrain_count]]
+    terrain = [surface.temperature.ravel() for surface in surfaces[:terrain_count] if not surface.far]
     return float(np.concatenate(terrain).mean(dtype=np.float64))
 
 
@@ -511,7 +517,8 @@ def surface_notes(
 PIPELINE = Pipeline(
     (where, frame, geoid_undulation_m, stated_altitude_m, altitude_m, placements, shape, grid, terrain_count,
      solved_count, band_um, air_of_weather, no_snow, snow, covering, cover, emissivity_report, albedo, materials, air,
-     clear_of_clouds, follows, temperature_inputs, part_temperatures, covered, temperatures, temperature_state,
+     clear_of_clouds, follows, temperature_inputs, part_temperatures, far_temperatures, covered,
+     temperatures, temperature_state,
      solution_notes, object_heat, surfaces, tracked_objects),
     lazy=(weather, weather_now, noted_weather, sun, ground, refuse_unsolved, surroundings_temperature, agreement,
           surface_notes, digest, weather_digest),

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from thermorender.atmosphere.rays import MEAN_RADIUS_M
 from thermorender.errors import ThermorenderError
 
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ class Surface:
     scatter_k: NDArray[np.float32] | None = None
     # Heat that enters its sheet from within, of an object whose heat balance is solved [W m⁻²]
     inner_w_m2: float = 0.0
+    far: bool = False  # Coarser ground around the scene, as of [terrain] far
 
     def __post_init__(self) -> None:
         """Make the arrays read-only: a scene does not change, and what follows from them must not become stale."""
@@ -56,6 +58,15 @@ class Surface:
             values = np.asarray(getattr(self, name)).view()
             values.flags.writeable = False
             object.__setattr__(self, name, values)
+
+    def heights_m(self) -> NDArray[np.float64]:
+        """Return the heights of the vertices above the level of the frame's origin, (V,) [m].
+
+        Far ground follows the Earth's curvature; within a scene the level is a plane.
+        """
+        if not self.far:
+            return self.vertices[:, 2]
+        return over_round_earth(self.vertices)
 
     def copied(self) -> "Surface":
         """Return this surface with its own copies of the arrays, which nobody else can change."""
@@ -68,6 +79,12 @@ class Surface:
         kelvin = f"{known.min():.1f}–{known.max():.1f} K" if known.size else "no temperature yet"
         what = f"{len(self.faces)} triangles" if self.instances is None else str(self.instances)
         return f"Surface({self.name!r}, {what}, {columns}×{rows} texels of {self.texel_m:.3g} m, {kelvin})"
+
+
+def over_round_earth(points: ArrayLike) -> NDArray[np.float64]:
+    """Return the heights of local positions (..., 3) above the level of the origin over a round Earth [m]."""
+    points = np.asarray(points, np.float64)
+    return points[..., 2] + np.square(points[..., :2]).sum(axis=-1) * (0.5 / MEAN_RADIUS_M)
 
 
 # Hotter than any flame: a higher value is a placeholder for "no data", or not a temperature.

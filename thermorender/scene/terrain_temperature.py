@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError, ThermorenderWarning, shortened
 from thermorender.materials.material import Material
 from thermorender.scene.cover import Cover, Painted
+from thermorender.scene.drape import Drape
 from thermorender.scene.shape import Placement, Shape
 from thermorender.scene.spec import SunSpec, SurfaceSpec, TemperatureSpec, WeatherSpec
 from thermorender.scene.surface import FALLBACK, UNMOVED, Surface, fill, nearest_valid, scene_kelvin
@@ -71,8 +72,8 @@ def follows(
 def temperatures(
     follows: Follows, temperature_inputs: TemperatureInputs | None, spec_temperature: TemperatureSpec,
     temperature_map: "TemperatureMap | None", given_kelvin: tuple[NDArray[Any], ...] | None, given: bool,
-    part_temperatures: Sequence[SurfaceSpec], placements: Sequence[Placement], shape: Shape,
-    covered: "tuple[Cover, tuple[Material, ...]] | None", where: str,
+    part_temperatures: Sequence[SurfaceSpec], far_temperatures: Sequence["float | Path | None"],
+    placements: Sequence[Placement], shape: Shape, covered: "tuple[Cover, tuple[Material, ...]] | None", where: str,
 ) -> Temperatures:  # fmt: skip
     """Return the Temperatures of the source that a scene declares."""
     if temperature_inputs is not None:
@@ -98,7 +99,9 @@ def temperatures(
         if given_kelvin is not None:
             found = [_filled(values, surface) for values, surface in zip(given_kelvin, shape.ground, strict=True)]
         else:
-            source = _Source(spec_temperature, part_temperatures, temperature_map, where, report)
+            source = _Source(
+                spec_temperature, part_temperatures, far_temperatures, temperature_map, where, report
+            )  # fmt: skip
             found = _resolved(source, shape, covered)
         kelvin, flags = [each[0] for each in found], [each[1] for each in found]
     if follows != "moved":
@@ -115,6 +118,7 @@ class _Source:
 
     spec: TemperatureSpec
     parts: Sequence[SurfaceSpec]  # Parts of a mesh with their own temperature
+    far: Sequence["float | Path | None"]  # Own temperature of each far ground
     model: "TemperatureMap | None"
     where: str
     report: dict[str, Any] = field(default_factory=dict)
@@ -124,9 +128,11 @@ def _resolved(
     source: _Source, shape: Shape, covered: tuple[Cover, tuple[Material, ...]] | None
 ) -> list[tuple[NDArray[np.float32], NDArray[np.uint8]]]:
     """(kelvin, flags) of each terrain surface, from its own [[surface]] or from [temperature]."""
-    spec, textures, where = source.spec, shape.textures or [None] * len(shape.ground), source.where
-    own = stating(shape.textures, source.parts, ("temperature",), where) or [None] * len(textures)
-    rest = [surface.name for surface, one in zip(shape.ground, own, strict=True) if one is None]
+    spec, where, near = source.spec, source.where, [surface for surface in shape.ground if not surface.far]
+    own = stating(shape.textures, source.parts, ("temperature",), where) or [None] * len(near)
+    kelvin = [*(None if one is None else one.temperature for one in own), *source.far]
+    kelvin += [None] * (len(shape.ground) - len(kelvin))
+    rest = [surface.name for surface, one in zip(near, kelvin, strict=False) if one is None]
     if spec.source == "raster" and shape.textures and len(rest) > 1:
         raise ThermorenderError(
             f"{where}: temperature.raster is in the pixels of one texture, and the mesh has {len(rest)} surfaces "
@@ -137,19 +143,40 @@ def _resolved(
     ground: Sequence[Painted | Surface] = covered[0].ground if covered else shape.ground
     materials = covered[1] if covered else ()
     found = []
-    for surface, painted, texture, one in zip(shape.ground, ground, textures, own, strict=True):
-        chosen, stated = spec, None if one is None else one.temperature
+    for number, (surface, painted, stated) in enumerate(zip(shape.ground, ground, kelvin, strict=True)):
+        chosen, drape = spec, shape.drape(number)
+        texture = shape.textures[number] if number < len(shape.textures) else None
+        if surface.far and stated is None:
+            stated = _refuse_far(spec, surface, drape, where)
         if isinstance(stated, Path):
             chosen = TemperatureSpec("raster", raster=stated, value=spec.value)
         elif stated is not None:
             chosen = TemperatureSpec("constant", value=stated)
         found.append(resolve(chosen, Texels(
-            painted.colour, painted.material, materials, shape.grid, surface.texel_m, where, source.report,
-            source.model, shape.on_ground, surface if texture else None, texture,
+            painted.colour, painted.material, materials, drape.grid if drape else None, surface.texel_m, where,
+            {} if surface.far else source.report,
+            source.model, drape.on_ground if drape else None, surface if texture else None, texture,
         )))  # fmt: skip
         if chosen.raster is not None:
             _warn_of_heights(chosen.raster, found[-1][0], surface)
     return found
+
+
+def _refuse_far(spec: TemperatureSpec, surface: Surface, drape: Drape | None, where: str) -> "float | None":
+    """Return the kelvin beyond a raster, None for other sources; refuse far ground that a source does not reach."""
+    if spec.source == "raster":
+        if spec.value is None:
+            raise ThermorenderError(
+                f"{where}: temperature.raster is of the scene, and {surface.name} ground lies around it; give "
+                "terrain.far.temperature, or the kelvin of the rest as temperature.value"
+            )
+        return spec.value
+    if spec.source == "learned" and (drape is None or drape.colour is None):
+        raise ThermorenderError(
+            f"{where}: temperature.source='learned' reads colours, and {surface.name} ground has no orthophoto; give "
+            "terrain.far.orthophoto or terrain.far.temperature"
+        )
+    return None
 
 
 def _warn_of_heights(path: Path, kelvin: NDArray[Any], surface: Surface) -> None:

@@ -76,7 +76,7 @@ def _temperature(scene: "Scene") -> str:
     when = "" if scene.time is None else utc_text(scene.time)
     if not state.solved:
         return f"to be solved for {when}"
-    terrain = [surface.temperature for surface in scene.surfaces[: scene.terrain_count]]
+    terrain = [surface.temperature for surface in scene.near_ground]
     low, high = min(values.min() for values in terrain), max(values.max() for values in terrain)
     return f"{low:.1f}–{high:.1f} K" + (f" at {when}" if state.weather_driven else "")
 

@@ -24,7 +24,7 @@ def patch(half, cells):
 def test_the_first_view_is_of_the_land_that_has_most_faces(more):
     """A ring of a few large faces out to 4 km does not move the camera away from a square of 100 m."""
     surfaces = [*more, patch(50.0, 100), patch(9000.0, 200)]
-    session = SimpleNamespace(base=SimpleNamespace(surfaces=surfaces, terrain_count=len(more) + 1))
+    session = SimpleNamespace(base=SimpleNamespace(near_ground=surfaces[: len(more) + 1]))
     east, north, up, *angles = first_pose(session).split(",")
     assert (east, angles) == ("0", ["0", "-45", "0"])
     assert float(up) == -float(north) == pytest.approx(40.0, abs=2.0)

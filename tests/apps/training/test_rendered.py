@@ -14,6 +14,7 @@ from thermorender.apps.lands.procedural.procedural_scene import KINDS, make
 from thermorender.apps.lands.procedural.truth import drawn
 from thermorender.apps.training import rendered
 from thermorender.apps.training.dataset import read_dataset
+from thermorender.atmosphere.rays import horizon_cos_zenith
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
 from thermorender.output.photograph import sky_colour
@@ -157,7 +158,9 @@ def test_pixels_of_sky_are_valid_and_of_its_colour(campaign):
     pitch = camera.pixel_pitch_um * 1e-3 / camera.focal_length_mm
     ray = np.stack([(column - camera.width / 2) * pitch, (row - camera.height / 2) * pitch, np.ones(row.shape)], -1)
     sine = ray @ given.at[2, :3] / np.linalg.norm(ray, axis=-1)
-    assert sine[sky].min() > -1e-6
+    # The horizon of a round Earth, seen from some tens or hundreds of metres.
+    scene = given.renderers[0].scene
+    assert sine[sky].min() > float(horizon_cos_zenith(scene.altitude_m + given.at[2, 3])) - 1e-6
     expected = srgb.bytes_from_linear(sky_colour(sine, given.cloud))
     np.testing.assert_array_equal(pair.visible[sky], expected[sky])
     # Pixels that are not sky are land or nothing.

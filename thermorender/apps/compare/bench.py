@@ -170,7 +170,7 @@ def _times(renderer: Renderer, pose: NDArray[np.float64], repeats: int) -> dict[
 
 def views(scene: Scene, height_m: float = HEIGHT_M) -> Mapping[str, NDArray[np.float64]]:
     """Return {view: pose (4, 4)}: straight and 45° down at the middle of the terrain, `height_m` [m] above it."""
-    vertices = np.concatenate([surface.vertices for surface in scene.surfaces[: scene.terrain_count]])
+    vertices = np.concatenate([surface.vertices for surface in scene.near_ground])
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     east, north = 0.5 * (low + high)[:2]
     ground = float(scene.ground(east, north))

@@ -76,7 +76,7 @@ def lands_of(scenes: Sequence[Scene]) -> list[str]:
     known: list[tuple[str, NDArray[np.float64]]] = []
     names = []
     for scene in scenes:
-        vertices = np.concatenate([surface.vertices for surface in scene.surfaces[: scene.terrain_count]])
+        vertices = np.concatenate([surface.vertices for surface in scene.near_ground])
         sides = np.linspace(vertices.min(axis=0), vertices.max(axis=0), _PLACES)[:, :2]
         east, north = np.meshgrid(*sides.T)
         own = np.stack([east, north, scene.ground(east, north)], axis=-1).reshape(-1, 3)

@@ -141,7 +141,7 @@ class Trial:
         self._computed = setup.has_truth and self.scene.balanced
         self._reference = "reference, computed" if self._computed else "reference"
         self._objects = [item.name for item in self.scene.spec.objects]
-        vertices = np.concatenate([s.vertices[:, :2] for s in self.scene.surfaces[: self.scene.terrain_count]])
+        vertices = np.concatenate([s.vertices[:, :2] for s in self.scene.near_ground])
         self._corners = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
         self._pairs = self._twins()
         self._terms = {name: np.zeros((len(NAMES) + 1, sums.WIDTH)) for name in self._pairs}

@@ -6,13 +6,26 @@ The orthophoto's empty borders become its mask.
 """
 
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender import defaults, formats, load_camera
+from thermorender import defaults, load_camera
+from thermorender.apps.lands.import_far import FarGround, read_far
+from thermorender.apps.lands.import_rasters import (
+    Bounds,
+    Picture,
+    has_vertical_datum,
+    heights_on_map,
+    map_crs,
+    middle,
+    read_picture,
+    step_m,
+    write_raster,
+)
 from thermorender.apps.lands.import_settings import ImportSettings, ThreeD
 from thermorender.apps.lands.solids.city_model import CityModel
 from thermorender.apps.lands.solids.clouds import SUFFIXES, Cloud, read_cloud
@@ -22,10 +35,9 @@ from thermorender.errors import ThermorenderError
 from thermorender.files import atomic_folder, check_new_folder
 from thermorender.formats import write_json, write_text
 from thermorender.materials.extended import within_band
-from thermorender.numbers import parse_numbers
 from thermorender.scene.mapped_cover import read_mapped_cover
-from thermorender.scene.orthophoto import COLLAR, empty_border, read_colour
-from thermorender.scene.raster import Grid, bounds_in, grid_of, lon_lat, onto
+from thermorender.scene.orthophoto import COLLAR, empty_border
+from thermorender.scene.raster import Grid, bounds_in
 from thermorender.scene.spec import WeatherSpec
 from thermorender.scene.surface import scene_kelvin
 from thermorender.scene.terrain import doubtful_zeros, filled, read_elevation
@@ -41,19 +53,10 @@ _FLIGHT_S = 20.0
 _DEFAULT = ImportSettings()
 
 
-_Bounds = tuple[float, float, float, float]
 # Name of the shapes of OpenStreetMap in the scene's folder.
 _KNOWN = "known.geojson"
 # Of a scene in three dimensions: values of `CityModel` in the summary.
 _FOUND = ("buildings", "trees", "flat_outlines", "stated_walls", "unmatched")
-
-
-class _Picture(NamedTuple):
-    """An orthophoto on a map's grid."""
-
-    rgb: NDArray[np.uint8]  # (h, w, 3) sRGB
-    valid: NDArray[np.bool_]  # (h, w)
-    grid: Grid
 
 
 def import_terrain(
@@ -69,19 +72,21 @@ def import_terrain(
     _check(settings, orthophoto, three_d)
     check_new_folder(folder)
     cloud, height, height_grid, notes = _read_heights(elevation)
-    stated = settings.height_reference is not None or _has_vertical_datum(height_grid.crs)
+    stated = settings.height_reference is not None or has_vertical_datum(height_grid.crs)
     reference = settings.height_reference or ("geoid" if stated else "ellipsoid")
     day = _weather(settings.weather, settings.time, height, height_grid)
-    crs = _map_crs(height_grid)
+    crs = map_crs(height_grid)
     bounds = bounds_in(crs, height_grid)
     picture = None
     if orthophoto is not None:
-        picture, bounds = _read_picture(orthophoto, settings, elevation, crs, bounds)
-    height, posts = _heights(height, height_grid, crs, bounds, settings.max_vertices, square=three_d is not None)
+        picture, bounds = read_picture(orthophoto, settings, elevation, crs, bounds)
+    height, posts = heights_on_map(height, height_grid, crs, bounds, settings.max_vertices, square=three_d is not None)
     if not np.isfinite(height).any():
         raise ThermorenderError(f"{elevation} has no valid height where {orthophoto} is; give a DEM of the same area")
+    far, more = read_far(settings.far or (), height, posts, reference, settings)
+    notes = (*notes, *more)
     texels = picture.grid if picture else posts
-    post_m, texel_m = _step(crs, posts), _step(crs, texels)
+    post_m, texel_m = step_m(crs, posts), step_m(crs, texels)
     solid, known, cover = None, settings.known, None
     if three_d:
         undulation_m = (settings.geoid_undulation_m or 0.0) if reference == "geoid" else 0.0
@@ -102,7 +107,7 @@ def import_terrain(
     terrain = {"elevation": "elevation.tif", "orthophoto": "orthophoto.tif" if picture else None,
                "height_reference": reference, "geoid_undulation_m": settings.geoid_undulation_m,
                "fill": settings.fill or None}  # fmt: skip
-    tables = {"title": Path(folder).resolve().name, "terrain": terrain}
+    tables: dict[str, Any] = {"title": Path(folder).resolve().name, "terrain": terrain}
     tables |= _sources(picture is not None, day, settings, known is not None or shapes is not None)
     flight_m, flight = _flight(bounds, texel_m)
     with atomic_folder(folder) as part:
@@ -112,6 +117,9 @@ def import_terrain(
             flight = flight.replace("above_ground_m", "up_m")
         else:
             _write_rasters(part, height, posts, picture)
+        if far:
+            placeholder = picture is not None and day is None
+            tables["terrain"] = _with_far(part, far, tables["terrain"], reference, settings, placeholder)
         if settings.weather is not None:
             shutil.copyfile(settings.weather, part / _copied(settings.weather))
         if shapes is not None:
@@ -132,11 +140,31 @@ def import_terrain(
         "height_reference": reference,
         "height_reference_stated": stated,  # By the caller or the CRS
         "flight_m": flight_m,  # Height of flight.csv above the ground
+        # Posts, their distance and whether it has an orthophoto, of each far ground
+        "far": [([*own.height.shape], step_m(crs, own.posts), own.picture is not None) for own in far],
         "known": notes,  # Sentences on what was doubtful or left out in the files
         **(_solid_counts(solid) if solid else {}),
         **_height_shares(height, settings.fill),
         **_colour_shares(picture),
     }
+
+
+def _with_far(
+    part: Path, far: Sequence[FarGround], terrain: dict[str, Any], reference: str, settings: ImportSettings,
+    placeholder: bool,
+) -> dict[str, Any]:  # fmt: skip
+    """The table [terrain] with far grounds, whose rasters are written to `part`; with `placeholder` temperatures, those
+    without a picture have a constant one."""
+    found = []
+    for number, own in enumerate(far, 1):
+        table = own.write(part, number)
+        if "mesh" in terrain:
+            table["height_reference"] = own.reference or reference
+        # A learned map without a weather reads colours.
+        found.append(table | {"temperature": GROUND_K if placeholder and not own.picture else None})
+    if "mesh" in terrain and reference == "geoid":
+        terrain = terrain | {"geoid_undulation_m": settings.geoid_undulation_m}
+    return terrain | {"far": found}
 
 
 def _check(settings: ImportSettings, orthophoto: Path | None, three_d: ThreeD | None) -> None:
@@ -187,7 +215,7 @@ def _weather(path: Path | None, time: str | None, height: NDArray[np.float64], g
         raise ThermorenderError(f"weather={path} needs the scene's instant; give time, such as 2018-07-28T14:30Z")
     when = instant("time", time)
     kind = "epw" if is_year_file(path) else "file"
-    latitude, longitude = _middle(grid)
+    latitude, longitude = middle(grid)
     spec = WeatherSpec(when, epw=Path(path)) if kind == "epw" else WeatherSpec(when, file=Path(path))
     declared_weather(spec, latitude, longitude, float(np.nanmedian(height)))
     return {"time": utc_text(when), kind: _copied(path)}
@@ -218,11 +246,11 @@ def _sources(pictured: bool, weather: dict[str, Any] | None, settings: ImportSet
     return tables | {"camera": {"model": defaults.CAMERA}}
 
 
-def _write_rasters(folder: Path, height: NDArray[Any], posts: Grid, picture: _Picture | None) -> None:
+def _write_rasters(folder: Path, height: NDArray[Any], posts: Grid, picture: Picture | None) -> None:
     """Write elevation.tif and orthophoto.tif."""
-    _write(folder / "elevation.tif", height[None].astype(np.float32), posts, nodata=np.nan, predictor=3)
+    write_raster(folder / "elevation.tif", height[None].astype(np.float32), posts, nodata=np.nan, predictor=3)
     if picture:
-        _write(folder / "orthophoto.tif", np.moveaxis(picture.rgb, -1, 0), picture.grid, predictor=2,
+        write_raster(folder / "orthophoto.tif", np.moveaxis(picture.rgb, -1, 0), picture.grid, predictor=2,
                photometric="RGB", mask=picture.valid)  # fmt: skip
 
 
@@ -238,7 +266,7 @@ def _height_shares(height: NDArray[Any], fill: bool) -> dict[str, float]:
     return {"share_without_height": float(1.0 - after.mean()), "share_filled": float((after & ~given).mean())}
 
 
-def _colour_shares(picture: _Picture | None) -> dict[str, float | None]:
+def _colour_shares(picture: Picture | None) -> dict[str, float | None]:
     """Shares of the texels without colour, near black or white up to the edge, and black or white in some band."""
     if picture is None:
         return dict.fromkeys(("share_without_colour", "share_collar", "share_clipped"))
@@ -251,62 +279,7 @@ def _colour_shares(picture: _Picture | None) -> dict[str, float | None]:
     }
 
 
-def _heights(
-    height: NDArray[Any], grid: Grid, crs: Any, bounds: _Bounds, max_vertices: int, square: bool
-) -> tuple[NDArray[Any], Grid]:
-    """Heights on a map's grid within bounds, and that Grid; `square` where lengths are counted in posts."""
-    post = _step(crs, grid)
-    target = _grid(crs, bounds, max(post, np.sqrt((bounds[2] - bounds[0]) * (bounds[3] - bounds[1]) / max_vertices)))
-    wrong = square and abs(grid.transform.a + grid.transform.e) > 1e-3 * abs(grid.transform.a)
-    if _aligned(grid, crs, target, post) and not wrong:
-        return _cut(height, grid, bounds)
-    return onto(height, grid, target, "average" if _step(crs, target) > 1.5 * post else "bilinear"), target
-
-
-def _read_picture(
-    orthophoto: Path, settings: ImportSettings, elevation: Path, crs: Any, bounds: _Bounds
-) -> tuple[_Picture, _Bounds]:
-    """(Orthophoto on a map's grid, bounds shared with the elevation)."""
-    bands, ends = settings.bands, settings.colour_range
-    chosen = [int(number) for number in parse_numbers("bands", bands, ("RED", "GREEN", "BLUE"))] if bands else None
-    scale = None
-    if ends:
-        black, white = parse_numbers("colour_range", ends, ("BLACK", "WHITE"))
-        scale = black, white
-    (rgb, valid), grid = read_colour(orthophoto, chosen, scale, settings.collar), grid_of(orthophoto)
-    if not valid.any():
-        raise ThermorenderError(f"{orthophoto} is empty: every pixel is masked or border; give another orthophoto")
-    bounds = _shared(bounds, bounds_in(crs, grid), elevation, orthophoto)
-    picture = _Picture(*_colours(rgb, valid, grid, crs, bounds, settings.max_texels))
-    if not picture.valid.any():
-        raise ThermorenderError(f"{orthophoto} is empty where {elevation} is; give an orthophoto of the same area")
-    return picture, bounds
-
-
-def _colours(
-    rgb: NDArray[np.uint8], valid: NDArray[np.bool_], grid: Grid, crs: Any, bounds: _Bounds, max_texels: int
-) -> tuple[NDArray[np.uint8], NDArray[np.bool_], Grid]:
-    """Colours on a map's grid within bounds, where they are valid, and that Grid."""
-    texel = _step(crs, grid)
-    span = max(bounds[2] - bounds[0], bounds[3] - bounds[1])
-    target = _grid(crs, bounds, max(texel, span / max_texels))
-    if _aligned(grid, crs, target, texel):
-        rgb, target = _cut(rgb, grid, bounds)
-        return rgb, _cut(valid, grid, bounds)[0], target
-    resampling = "average" if _step(crs, target) > 1.5 * texel else "bilinear"
-    if valid.all():
-        # In bytes, a third of the time.
-        shown = onto(valid.astype(np.uint8), grid, target, resampling) > 0
-        return np.where(shown[..., None], onto(rgb, grid, target, resampling), 0), shown, target
-    # Empty texels must not bleed into their neighbours: filter valid colour and its weight separately.
-    weight = np.nan_to_num(onto(valid.astype(np.float32), grid, target, resampling))
-    filtered = onto(rgb * valid[..., None].astype(np.float32), grid, target, resampling)
-    valid = weight > 0.5
-    mean = np.where(valid[..., None], filtered / np.maximum(weight, 1e-6)[..., None], 0.0)
-    return np.clip(np.rint(np.nan_to_num(mean)), 0, 255).astype(np.uint8), valid, target
-
-
-def _flight(bounds: _Bounds, texel_m: float) -> tuple[float, str]:
+def _flight(bounds: Bounds, texel_m: float) -> tuple[float, str]:
     """(Height above the ground [m], text of flight.csv): along the middle, looking down, a pixel as wide as a texel.
 
     The flight is lower where the terrain would not fill half of the picture.
@@ -328,86 +301,3 @@ def _flight(bounds: _Bounds, texel_m: float) -> tuple[float, str]:
 def _finite(name: str, value: float | None) -> None:
     if value is not None and not np.isfinite(value):
         raise ThermorenderError(f"{name}={value} is not a finite number; give one")
-
-
-def _has_vertical_datum(crs: Any) -> bool:
-    return any(word in crs.to_wkt() for word in ("COMPD_CS", "COMPOUNDCRS", "VERT_CS"))
-
-
-def _map_crs(grid: Grid) -> Any:
-    """The elevation's CRS if it is projected in metres, else the UTM zone of its middle."""
-    from rasterio.crs import CRS
-
-    if grid.crs.is_projected and abs(grid.crs.linear_units_factor[1] - 1.0) < 1e-9:
-        return grid.crs
-    latitude, longitude = _middle(grid)
-    zone = int((longitude + 180.0) // 6.0) % 60 + 1
-    return CRS.from_epsg((32600 if latitude >= 0.0 else 32700) + zone)
-
-
-def _middle(grid: Grid) -> tuple[float, float]:
-    """(Latitude, longitude) of the middle of a grid [deg]."""
-    x, y = grid.to_map(grid.width / 2, grid.height / 2)
-    (longitude,), (latitude,) = lon_lat(grid, np.array([x]), np.array([y]))
-    return float(latitude), float(longitude)
-
-
-def _shared(a: _Bounds, b: _Bounds, elevation: Path, orthophoto: Path) -> _Bounds:
-    bounds = max(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), min(a[3], b[3])
-    if not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
-        raise ThermorenderError(
-            f"{elevation} (x {a[0]:.0f}…{a[2]:.0f}, y {a[1]:.0f}…{a[3]:.0f}) and {orthophoto} "
-            f"(x {b[0]:.0f}…{b[2]:.0f}, y {b[1]:.0f}…{b[3]:.0f}) do not overlap; give rasters of the same area"
-        )
-    return bounds
-
-
-def _step(crs: Any, grid: Grid) -> float:
-    """Side of a grid's pixel in a map's metres."""
-    # The pixels of a rotated grid fill only a share of its bounding rectangle.
-    left, bottom, right, top = grid.bounds
-    pixels = (right - left) * (top - bottom) / abs(grid.transform.determinant)
-    left, bottom, right, top = bounds_in(crs, grid)
-    return float(np.sqrt((right - left) * (top - bottom) / pixels))
-
-
-def _grid(crs: Any, bounds: _Bounds, step: float) -> Grid:
-    from rasterio import Affine
-
-    width = max(2, int(np.floor((bounds[2] - bounds[0]) / step + 1e-6)))
-    height = max(2, int(np.floor((bounds[3] - bounds[1]) / step + 1e-6)))
-    return Grid(crs, Affine(step, 0.0, bounds[0], 0.0, -step, bounds[3]), height, width)
-
-
-def _aligned(grid: Grid, crs: Any, target: Grid, step: float) -> bool:
-    """Whether cropping a grid is enough: same map, north up and east to the right, no thinning."""
-    t = grid.transform
-    upright = bool(t.a > 0.0 and t.e < 0.0 and t.b == t.d == 0.0)
-    return grid.crs == crs and upright and abs(_step(crs, target) - step) < 1e-6 * step
-
-
-def _cut(values: NDArray[Any], grid: Grid, bounds: _Bounds) -> tuple[NDArray[Any], Grid]:
-    """Pixels of a north-up grid within bounds, and their Grid."""
-    from rasterio import Affine
-
-    column0, row0 = grid.to_pixel(bounds[0], bounds[3])
-    column1, row1 = grid.to_pixel(bounds[2], bounds[1])
-    column0, row0 = max(0, int(np.floor(column0 + 1e-6))), max(0, int(np.floor(row0 + 1e-6)))
-    column1, row1 = min(grid.width, int(np.ceil(column1 - 1e-6))), min(grid.height, int(np.ceil(row1 - 1e-6)))
-    part = values[row0:row1, column0:column1]
-    t = grid.transform
-    x, y = grid.to_map(column0, row0)
-    corner = Affine(t.a, t.b, x, t.d, t.e, y)
-    return part, Grid(grid.crs, corner, *part.shape[:2])
-
-
-def _write(path: Path, bands: NDArray[Any], grid: Grid, mask: NDArray[np.bool_] | None = None, **options: Any) -> None:
-    import rasterio
-
-    with formats.atomic_raster(path) as part, rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(
-        part, "w", driver="GTiff", count=len(bands), dtype=bands.dtype, height=grid.height, width=grid.width,
-        crs=grid.crs, transform=grid.transform, compress="deflate", tiled=True, **options,
-    ) as dataset:  # fmt: skip
-        dataset.write(bands)
-        if mask is not None:
-            dataset.write_mask(mask)

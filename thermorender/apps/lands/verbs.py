@@ -47,6 +47,9 @@ def import_terrain(
                f"heights above the {summary['height_reference']}"
                + ("" if summary["height_reference_stated"] else
                   " (assumed, as the CRS does not say; --height-reference geoid changes it)"))  # fmt: skip
+    for number, (count, post_m, coloured) in enumerate(summary["far"], 1):
+        typer.echo(f"far ground {number}: {count[1]}×{count[0]} posts of {post_m:.3g} m, "
+                   + ("with an orthophoto" if coloured else "with the material of unknown texels"))  # fmt: skip
     warn(_of_import(summary, settings))
     for note in summary["known"]:
         typer.echo(note)

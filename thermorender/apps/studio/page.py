@@ -41,7 +41,7 @@ _ORIGINS = {
 def first_pose(session: Session) -> str:
     """Return the pose of the first view: over the middle of the terrain, from the south at 45°."""
     base = session.base
-    corner = np.concatenate([each.vertices[each.faces[:, 0], :2] for each in base.surfaces[: base.terrain_count]])
+    corner = np.concatenate([each.vertices[each.faces[:, 0], :2] for each in base.near_ground])
     # Of nearly all faces: a few large ones may reach to the horizon.
     low, high = np.quantile(corner, (0.05, 0.95), axis=0)
     side = float((high - low).min()) / 0.9

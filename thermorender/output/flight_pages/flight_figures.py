@@ -151,7 +151,7 @@ def _bounds(renderer: "Renderer", seen: Prospect) -> Floats:
     place = np.concatenate([seen.position[:, :2], seen.outline.reshape(-1, 2)])
     if not seen.shows_terrain.all():
         scene = renderer.scene
-        corner = [surface.vertices[:, :2] for surface in scene.surfaces[: scene.terrain_count]]
+        corner = [surface.vertices[:, :2] for surface in scene.near_ground]
         place = np.concatenate([place, *([each.min(axis=0), each.max(axis=0)] for each in corner)])
     place = place[np.isfinite(place).all(axis=1)]
     low, high = place.min(axis=0), place.max(axis=0)

@@ -37,8 +37,8 @@ _AROUND_M = 15.0
 _RAYS = 64
 # Steps of the past with smaller weights are left out.
 _LEAST_SHARE = 1e-4
-# The latest planes of one instant, by geometry: a comparison evaluates several maps for the same instant.
-_LAST: WeakKeyDictionary[Geometry, tuple[Any, Any]] = WeakKeyDictionary()
+# The latest planes of one instant, by geometry and ground: a comparison evaluates several maps for the same instant.
+_LAST: WeakKeyDictionary[Geometry, dict[int, tuple[Any, Any]]] = WeakKeyDictionary()
 NAMES = (
     "normal_east", "normal_north", "normal_up", "above_m", "sky_view", "sunlight",
     *(f"sunlight_{hours:g}h" for hours in MEMORY_H),
@@ -48,37 +48,40 @@ NAMES = (
 def relief(
     scene: Scene, time: np.datetime64, geometry: Geometry | None = None, progress: Progress | None = None
 ) -> Planes:
-    """Return {name of `NAMES`: (h, w) float32} of the texels of a scene's terrain at an instant, as `reliefs`."""
+    """Return {name of `NAMES`: (h, w) float32} of the texels of a scene's raster at an instant, as `reliefs`."""
     return reliefs(scene, [time], geometry, progress)[time]
 
 
 def reliefs(
-    scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None
-) -> "dict[np.datetime64, Planes]":
-    """Return {time: {name of `NAMES`: (h, w) float32}} of the texels of a scene's raster terrain. The planes are the
-    unit normal; height above the mean around [m]; cosine-weighted sky view per face; and sunlight, direct with shadow
-    plus diffuse by sky view [W m⁻²], now and as weighted means over the past. Without earlier weather the means are the
-    present value. Planes do not depend on the other instants, but close instants share rays."""
+    scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None,
+    ground: int = 0,
+) -> "dict[np.datetime64, Planes]":  # fmt: skip
+    """Return {time: {name of `NAMES`: (h, w) float32}} of the texels of a scene's raster terrain, or of far `ground` by
+    the number of its surface. The planes are the unit normal; height above the mean around [m]; cosine-weighted sky
+    view per face; and sunlight, direct with shadow plus diffuse by sky view [W m⁻²], now and as weighted means over the
+    past. Without earlier weather the means are the present value. Planes do not depend on the other instants, but close
+    instants share rays."""
     geometry = geometry or Geometry(activate(), scene.surfaces)
     asked = (*times, scene.weather_digest())
-    kept, found = _LAST.get(geometry, (None, None))
+    last = _LAST.setdefault(geometry, {})
+    kept, found = last.get(ground, (None, None))
     if kept != asked:
-        found = _traced(scene, times, geometry, progress)
+        found = _traced(scene, ground, times, geometry, progress)
         if len(times) == 1:
-            _LAST[geometry] = asked, found
+            last[ground] = asked, found
     return found
 
 
 def _traced(
-    scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry, progress: Progress | None
+    scene: Scene, ground: int, times: "Sequence[np.datetime64]", geometry: Geometry, progress: Progress | None
 ) -> "dict[np.datetime64, Planes]":
-    """The planes of `reliefs`, traced."""
+    """The planes of `reliefs` of one ground, by its number, traced."""
     import cv2
     from scipy.ndimage import distance_transform_edt
 
-    mi, weather, surface = geometry.mi, scene.weather, scene.surfaces[0]
-    shape, texels = surface.material.shape, np.arange(surface.material.size)
-    covers = np.array(geometry.face_of_texel)[: texels.size]
+    mi, weather, surface = geometry.mi, scene.weather, scene.surfaces[ground]
+    shape, texels = surface.material.shape, geometry.texel_start[ground] + np.arange(surface.material.size)
+    covers = np.array(geometry.face_of_texel)[texels].astype(np.int64) - geometry.face_start[ground]
     bare = covers >= len(surface.faces)
     if bare.any() and not bare.all():
         # Beyond the outermost posts and in holes the nearest texel that a face covers is used.
@@ -87,12 +90,13 @@ def _traced(
     corner = surface.vertices[surface.faces]
     across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normal = (across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)).astype(np.float32)[covers]
+    covers += geometry.face_start[ground]
     point = texel_points(geometry, texels, covers)
     height = point[:, 2].reshape(shape)
     around = cv2.GaussianBlur(height, (0, 0), _AROUND_M / surface.texel_m, borderType=cv2.BORDER_REFLECT_101)
     view = transport_cache.traced(geometry, _RAYS)[0].sky.sum(axis=1).astype(np.float32)[covers]
     upload = lambda values: [mi.Float(aligned(axis)) for axis in values.T]  # noqa: E731
-    point += np.float32(geometry.hair) * normal
+    point += geometry.hair_at(point) * normal
     place, up = mi.Point3f(*upload(point)), mi.Vector3f(*upload(normal))
     dr.eval(place, up)
 
@@ -152,24 +156,32 @@ def mapped(
 
     source = scene.temperature_state.source
     assert isinstance(source, Conditional) and scene.spec.weather is not None
-    surface, model, solved = scene.surfaces[0], source.model, {}
-    planes_of: dict[np.datetime64, Planes] = {time: {} for time in times}
+    ground, model, solved = scene.surfaces[: scene.terrain_count], source.model, {}
+    planes_of: dict[np.datetime64, list[Planes]] = {time: [{} for _ in ground] for time in times}
     if "terrain" in model.needs:
-        planes_of = reliefs(scene, times, geometry, progress)
+        geometry = geometry or Geometry(activate(), scene.surfaces)
+        each = [reliefs(scene, times, geometry, progress, number) for number in range(len(ground))]
+        planes_of = {time: [planes[time] for planes in each] for time in times}
     if material:
         names = sorted(load_library())
         number = np.array([names.index(each.name) if each.name in names else np.nan for each in scene.materials])
-        own = number.astype(np.float32)[surface.material]
-        planes_of = {time: {**planes, "material": own} for time, planes in planes_of.items()}
+        own = [number.astype(np.float32)[surface.material] for surface in ground]
+        planes_of = {
+            time: [{**one, "material": numbers} for one, numbers in zip(planes, own, strict=True)]
+            for time, planes in planes_of.items()
+        }
     for time, planes in planes_of.items():
         sky = scene.sky_temperature
         report: dict[str, Any] = {}
-        texels = Texels(surface.colour, surface.material, scene.materials, scene.grid, surface.texel_m, scene.where,
-                        report)  # fmt: skip
         given = conditions(scene.weather, time, scene.spec.weather.inside_c)
-        # Where the map fails, the air's temperature follows the hour; a material's own does not.
-        values, flags = from_map(model, Inputs(surface.colour, surface.texel_m, planes, given), texels, sky,
-                                 given["air_k"])  # fmt: skip
-        known = (surface.flags & ~np.uint8(FALLBACK)) | flags
-        solved[time] = scene.with_solved_temperatures(time, [values], flags=[known], report=report)
+        kelvin, known = [], []
+        for surface, one in zip(ground, planes, strict=True):
+            texels = Texels(surface.colour, surface.material, scene.materials, None, surface.texel_m, scene.where,
+                            {} if surface.far else report)  # fmt: skip
+            # Where the map fails, the air's temperature follows the hour; a material's own does not.
+            values, flags = from_map(model, Inputs(surface.colour, surface.texel_m, one, given), texels, sky,
+                                     given["air_k"])  # fmt: skip
+            kelvin.append(values)
+            known.append((surface.flags & ~np.uint8(FALLBACK)) | flags)
+        solved[time] = scene.with_solved_temperatures(time, kelvin, flags=known, report=report)
     return [solved[time] for time in times]

@@ -308,7 +308,7 @@ class _Simulation:
         count = len(self.alone)
         own, place = np.unique(texels, return_inverse=True)
         face, spot = self._points(own)
-        above = np.float32(geometry.hair) * self.normal[self.alone]
+        above = geometry.hair_at(self.middle[self.alone]) * self.normal[self.alone]
         point = np.concatenate([self.middle[self.alone] + above, spot])
         face = np.concatenate([self.alone, face]).astype(np.uint32)
         hidden = np.zeros(len(face), np.float32)
@@ -329,7 +329,8 @@ class _Simulation:
         matter, state = of_kinds(mi, self.kinds.columns, self.state, kind, reflects, inner)
         if deviations:
             matter = matter._replace(ground=varied(matter.ground, *(mi.Float(aligned(each)) for each in deviations)))
-        cooler = -humidity.LAPSE_K_M * (point[:, 2] + np.float32(self.scene.altitude_m - self.weather.altitude_m))
+        up = geometry.heights_m(point)
+        cooler = -humidity.LAPSE_K_M * (up + np.float32(self.scene.altitude_m - self.weather.altitude_m))
         at = None if len(place) == len(face) else mi.UInt32(aligned(place, np.uint32))
         return _Columns(
             *self._uploaded(point, face), mi.Float(aligned(cooler)), mi.Float(aligned(hidden)), at, matter
@@ -343,7 +344,7 @@ class _Simulation:
         spot = texel_points(self.geometry, texels, face)
         body = (face >= self.bodies.start) & (face < self.bodies.stop)
         spot[body] = self.middle[face[body]]
-        return face, spot + np.float32(self.geometry.hair) * self.normal[face]
+        return face, spot + self.geometry.hair_at(spot) * self.normal[face]
 
     def _uploaded(self, point: NDArray[np.float32], face: NDArray[np.integer]) -> tuple[Jit, Jit, Jit]:
         """(points, normals of their faces, numbers of these) on the device."""

@@ -18,7 +18,7 @@ def left_out(scene: Scene, transport: Transport, reflectance: Floats) -> Floats:
     faces, reflected with band means `reflectance` (F,)."""
     assert scene.air is not None
     length = np.geomspace(1.0, farthest(scene), _LENGTHS)
-    low = scene.altitude_m + min(float(surface.vertices[:, 2].min()) for surface in scene.surfaces)
+    low = scene.altitude_m + min(float(surface.heights_m().min()) for surface in scene.surfaces)
     passed, added = scene.air.path(low, low, length)
     limits = np.array([[each.temperature.min(), each.temperature.max()] for each in scene.surfaces], np.float64)
     seen = scene.air.planck(limits) @ passed.T + added.sum(axis=-1)

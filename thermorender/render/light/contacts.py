@@ -190,7 +190,7 @@ def _in_air(geometry: Geometry, faces: NDArray[np.uint32], stands: bool) -> Floa
     whole = frames(_corners(geometry, faces))
     corner, edge_u, edge_v, normal = (mi.Float(aligned(whole[:, k])) for k in range(4))
     index = dr.arange(mi.UInt32, len(faces) * _WALKS)
-    row, lift = index // _WALKS, dr.opaque(mi.Float, geometry.hair)
+    row = index // _WALKS
     corner, edge_u, edge_v, normal = (dr.gather(mi.Vector3f, v, row) for v in (corner, edge_u, edge_v, normal))
     random = mi.PCG32(len(faces) * _WALKS, initstate=_SEED)
     at = mi.warp.square_to_uniform_triangle(mi.Point2f(random.next_float32(), random.next_float32()))
@@ -200,6 +200,7 @@ def _in_air(geometry: Geometry, faces: NDArray[np.uint32], stands: bool) -> Floa
     for _ in range(_BOUNCES):
         pair = mi.Point2f(random.next_float32(), random.next_float32())
         towards = mi.Frame3f(side).to_world(mi.warp.square_to_cosine_hemisphere(pair))
+        lift = geometry.lift(point)
         ray = mi.Ray3f(mi.Point3f(point + lift * side), towards)
         hit, normal = geometry.cast_with_normal(ray, walking, leaves=False)
         air |= walking & ~hit.valid & ((towards.z > 0.0) | (not stands))

@@ -206,7 +206,6 @@ class FaceRays:
         if self._leaves is not None:
             found = np.concatenate([found, self._leaves.frames])
         self._faces = [self._mi.Float(aligned(found[:, k])) for k in range(4)]
-        self._lift = dr.opaque(self._mi.Float, geometry.hair)
         self._spots = self._mi.Float(aligned(contacts.points()))
         self._covered: tuple[Jit, ...] | None = None
 
@@ -232,7 +231,8 @@ class FaceRays:
         row = face if self._leaves is None else self._leaves.row_of_spot(face, spot)
         corner, edge_u, edge_v, normal = self._frame(face, row)
         at = mi.warp.square_to_uniform_triangle(self._at_spot(spot, True))
-        return corner + at.x * edge_u + at.y * edge_v + self._lift * normal, normal
+        point = corner + at.x * edge_u + at.y * edge_v
+        return point + self._geometry.lift(point) * normal, normal
 
     def _frame(self, face: Jit, row: Jit) -> tuple[Jit, ...]:
         """Corner, edges and unit normal of faces, by the row of their frame."""
@@ -277,7 +277,8 @@ class FaceRays:
             row = dr.select(covered, other if self._leaves is None else self._leaves.row_of_spot(other, spot), row)
         corner, edge_u, edge_v, normal = self._frame(face, row)
         spot = mi.warp.square_to_uniform_triangle(place)
-        point, lift = corner + spot.x * edge_u + spot.y * edge_v, normal * self._lift
+        point = corner + spot.x * edge_u + spot.y * edge_v
+        lift = normal * self._geometry.lift(point)
         level = mi.Vector3f(-normal.y, normal.x, 0.0)
         level = dr.normalize(dr.select(dr.squared_norm(level) > 1e-12, level, mi.Vector3f(1.0, 0.0, 0.0)))
         towards = dr.normalize(along * dr.cross(normal, level) + across * level + out * normal)

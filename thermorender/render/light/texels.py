@@ -150,8 +150,12 @@ def light(incident: NDArray[np.float32], reflected: Floats) -> NDArray[np.float3
     return found
 
 
-def variation(geometry: Geometry, reflected: NDArray[Any], noise: Floats, samples: int = 2000, seed: int = 0) -> float:
+def variation(
+    geometry: Geometry, reflected: NDArray[Any], noise: Floats, far: bool = False, samples: int = 2000, seed: int = 0
+) -> float:
     """Return the root mean square error of taking light as constant over a face, in the unit of `reflected`.
+
+    It is that of the surfaces without far ground, or of `far` ground alone, whose faces are large.
 
     `reflected` and `noise` (F,) are the light of each face at the mean reflectance of all, and its Monte Carlo error.
     Over an equilateral triangle of side a, a gradient g leaves g a / √24 around the mean. Neighbours differ by g a / √6
@@ -161,6 +165,8 @@ def variation(geometry: Geometry, reflected: NDArray[Any], noise: Floats, sample
     random = np.random.Generator(np.random.Philox(seed))
     total = weight = 0.0
     for surface, first in zip(geometry.surfaces, geometry.face_start[:-1], strict=True):
+        if surface.far != far:
+            continue
         chosen = np.zeros(len(surface.vertices), dtype=bool)
         chosen[random.integers(0, len(chosen), samples)] = True
         face = np.flatnonzero(chosen[surface.faces].any(axis=1))

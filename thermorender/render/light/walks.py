@@ -75,7 +75,6 @@ class Walks:
             mi.UInt32, self._node, dr.minimum(mi.UInt32(u[2] * mi.Float(self._choices)), self._choices - 1)
         )
         random = mi.PCG32(count * walks, initstate=_SEED)
-        lift = dr.opaque(mi.Float, geometry.hair)
         at, side, here = (dr.gather(kind, values, row) for kind, values in (
             (mi.Point3f, point), (mi.Vector3f, normal), (mi.UInt32, face)
         ))  # fmt: skip
@@ -83,7 +82,7 @@ class Walks:
         walking = dr.full(mi.Bool, True, count * walks)
         towards = mi.Frame3f(side).to_world(mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[0], u[1])))
         for step in range(_LONGEST):
-            ray = mi.Ray3f(at + lift * side, towards)
+            ray = mi.Ray3f(at + geometry.lift(at) * side, towards)
             hit, normal = geometry.cast_with_normal(ray, walking)
             total += dr.select(walking & ~hit.valid, self._outside(here, towards, node), 0.0)
             walking &= hit.valid

@@ -273,7 +273,7 @@ def _differences(
     # A back shows its front's light, and is judged by that of its own side.
     normal = -dr.mulsign(normal, dr.dot(normal, ray.d))
     # Hits of long rays are as far from the surface as the length is rounded; walks start above it.
-    above = dr.maximum(_ROUNDED * hit.distance - dr.opaque(mi.Float, geometry.hair), 0.0)
+    above = dr.maximum(_ROUNDED * hit.distance - geometry.lift(point), 0.0)
     # Radiance in the band without a path.
     sums = spectrum.solver.sum(axis=0)
     shown = baked.device.static_outgoing.at(geometry, hit, on_map)

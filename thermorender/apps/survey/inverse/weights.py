@@ -59,8 +59,8 @@ class Lattice:
         """Return the Lattice of all of a scene's terrain."""
         if scene.grid is None or scene.terrain_count != 1:
             raise ThermorenderError(
-                f"{scene.where}: a map of temperatures needs terrain from an elevation raster; make the scene with "
-                "`thermorender import-terrain`"
+                f"{scene.where}: a map of temperatures needs terrain from an elevation raster and no far ground; make "
+                "the scene with `thermorender import-terrain` and leave terrain.far out"
             )
         if not (np.isfinite(texel_m) and texel_m > 0.0):
             raise ThermorenderError(f"texel_m={texel_m!r} is not allowed; give the side of a texel in metres, above 0")

@@ -1,0 +1,322 @@
+"""Coarser ground around a scene: a mesh of a raster's posts with a hole where finer ground lies, joined to its rim.
+
+Rays are straight, and in reality air bends them: over a sphere of radius R/0.87 straight rays meet the ground where
+bent ones meet that of radius R (`atmosphere.rays`). Far ground is thus raised by the difference, 0.8 m at 9 km.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.atmosphere.rays import EARTH_RADIUS_M, MEAN_RADIUS_M
+from thermorender.errors import ThermorenderError
+from thermorender.physics.geodesy import LocalFrame
+from thermorender.scene.georeference import Place
+from thermorender.scene.ground import Ground
+from thermorender.scene.raster import Grid, lon_lat
+from thermorender.scene.surface import Surface
+from thermorender.scene.textures import separate
+
+_Floats = NDArray[np.float64]
+# The ground of a mesh is found on a lattice of so many posts along its longer side.
+_LATTICE = 512
+# Posts of far ground may be closer than those of the ground inside by this ratio.
+_CLOSER = 0.75
+# Points between rim and posts of far ground are up to this many times their spacing from the rim; posts of the rim
+# whose heights such a point follows.
+_FARTHEST, _AVERAGED = 2.5, 64
+# Edges among which the one that a point lies on is sought, and its largest distance from it per length.
+_NEAREST, _ON_EDGE = 8, 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class GroundPlan:
+    """Where ground lies: cells between the posts of a lattice."""
+
+    posts: _Floats  # (r, c, 3) local positions [m]
+    cells: NDArray[np.bool_]  # (r - 1, c - 1) cells with ground
+    lattice: Callable[[_Floats], _Floats]  # (column, row) (n, 2) of local positions (n, 3); posts have whole numbers
+
+    def rim(self) -> _Floats:
+        """Return the posts between cells with and without ground, (n, 3) [m]."""
+        inside = np.pad(self.cells, 1).astype(np.int8)
+        count = inside[1:, 1:] + inside[1:, :-1] + inside[:-1, 1:] + inside[:-1, :-1]
+        return self.posts[(count > 0) & (count < 4)]
+
+    def covers(self, points: _Floats) -> NDArray[np.bool_]:
+        """Return whether local positions (n, 3) are above or below its ground, (n,)."""
+        at = np.floor(self.lattice(points)).astype(np.int64)
+        rows, columns = self.cells.shape
+        within = (at >= 0).all(axis=1) & (at[:, 0] < columns) & (at[:, 1] < rows)
+        at = np.where(within[:, None], at, 0)
+        found: NDArray[np.bool_] = within & self.cells[at[:, 1], at[:, 0]]
+        return found
+
+    def spacing_m(self) -> float:
+        """Return the median distance of posts along a row or column [m]."""
+        steps = [np.linalg.norm(np.diff(self.posts[..., :2], axis=axis), axis=-1) for axis in (0, 1)]
+        return float(max(np.nanmedian(step) for step in steps))
+
+
+def of_raster(vertices: _Floats, height: _Floats, grid: Grid, frame: LocalFrame) -> GroundPlan:
+    """Return the GroundPlan of a raster's mesh: `vertices` (h w, 3) of heights (h, w), NaN where missing."""
+    known = np.isfinite(height)
+    cells = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
+    return GroundPlan(vertices.reshape(*height.shape, 3), cells, _on_grid(grid, frame))
+
+
+def of_mesh(surfaces: Sequence[Surface]) -> GroundPlan:
+    """Return the GroundPlan of a mesh's ground, the lowest of surfaces at each post; leaves have none."""
+    ground = [surface for surface in surfaces if not separate(surface)] or list(surfaces)
+    every = np.concatenate([surface.vertices[:, :2] for surface in ground])
+    low, high = every.min(axis=0), every.max(axis=0)
+    step = float((high - low).max()) / (_LATTICE - 1)
+    columns, rows = np.maximum(np.floor((high - low) / step + 1e-6).astype(int) + 1, 2)
+    east, north = np.meshgrid(low[0] + step * np.arange(columns), low[1] + step * np.arange(rows))
+    up = np.fmin.reduce([Ground([surface])(east, north) for surface in ground])
+    known = np.isfinite(up)
+    cells = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
+    return GroundPlan(np.stack([east, north, up], axis=-1), cells, lambda points: (points[:, :2] - low) / step)
+
+
+def _on_grid(grid: Grid, frame: LocalFrame) -> Callable[[_Floats], _Floats]:
+    """A function of local positions (n, 3) that returns their (column, row) between a grid's pixel middles, (n, 2)."""
+    place = Place(frame, grid.crs)
+
+    def lattice(points: _Floats) -> _Floats:
+        return np.stack(grid.to_pixel(*place.to_map(points)), axis=-1) - 0.5
+
+    return lattice
+
+
+def raised_m(east: _Floats, north: _Floats) -> _Floats:
+    """Return the height by which refraction shows ground above its place, as seen from around the origin [m]."""
+    return (0.5 / MEAN_RADIUS_M - 0.5 / EARTH_RADIUS_M) * (np.square(east) + np.square(north))
+
+
+def far_mesh(
+    height: _Floats, grid: Grid, frame: LocalFrame, texels: Grid, inside: Sequence[GroundPlan]
+) -> tuple[tuple[_Floats, NDArray[np.int32], NDArray[np.float32]], GroundPlan]:
+    """Return ((vertices (V, 3) [m], faces (F, 3), uv (F, 3, 2)), GroundPlan) of heights (h, w) around other ground.
+
+    Cells that meet the ground `inside` are left out. The Delaunay triangulation of the posts around them, of the posts
+    of its rim, and of points between them closes the gap. No point is in the circle around a side of rim or hole, so
+    that these are edges of it.
+    """
+    from scipy.spatial import Delaunay
+
+    rows, columns = height.shape
+    column, row = np.meshgrid(np.arange(columns), np.arange(rows))
+    x, y = grid.to_map(column + 0.5, row + 0.5)
+    longitude, latitude = lon_lat(grid, x.ravel(), y.ravel())
+    known = np.isfinite(height)
+    level = np.where(known, height, height[known].min())
+    posts = frame.enu_from_geodetic(latitude, longitude, level.ravel())
+    posts[:, 2] += raised_m(posts[:, 0], posts[:, 1])
+    lattice = _on_grid(grid, frame)
+    rim = _outer_rim(inside)
+    at = lattice(rim)
+    within = ((at >= 0.0) & (at <= (columns - 1, rows - 1))).all(axis=1)
+    if not within.any():
+        raise ThermorenderError(
+            f"{grid.name} does not surround the scene: none of its edge is inside; give a raster that covers it"
+        )
+    rim, at = rim[within], at[within]
+    cell = np.minimum(at.astype(np.int64), (columns - 2, rows - 2))
+    blocked = np.zeros((rows - 1, columns - 1), bool)
+    blocked[cell[:, 1], cell[:, 0]] = True
+    first, last = cell.min(axis=0), cell.max(axis=0) + 1
+    part = slice(first[1], last[1] + 1), slice(first[0], last[0] + 1)
+    hidden = np.zeros((rows, columns), bool)
+    some = posts.reshape(rows, columns, 3)[part]
+    hidden[part] = np.any([each.covers(some.reshape(-1, 3)) for each in inside], axis=0).reshape(some.shape[:2])
+    blocked |= _any_corner(hidden)
+    clear = ~_any_cell(blocked)
+    hole = _any_corner(~clear)
+    kept = ~hole & ~_any_corner(~known)
+    edge = clear & known & _any_cell(hole)
+    index = np.flatnonzero(edge)
+    outer = np.stack([column, row], axis=-1).reshape(-1, 2)[index].astype(np.float64)
+    surface = np.where(known[..., None], posts.reshape(rows, columns, 3), np.nan)
+    added, places = _between(surface, rim, at, outer, hole, inside)
+    at, rim = np.concatenate([at, added]), np.concatenate([rim, places])
+    points, positions = np.concatenate([outer, at]), np.concatenate([posts[index], rim])
+    joined = Delaunay(points).simplices if len(points) > 3 else np.zeros((0, 3), np.int32)
+    middle = points[joined].mean(axis=1)
+    there = np.clip(np.floor(middle).astype(np.int64), 0, (columns - 2, rows - 2))
+    joined = joined[hole[there[:, 1], there[:, 0]]]
+    middle_m = positions[joined].mean(axis=1)
+    joined = joined[~np.any([each.covers(middle_m) for each in inside], axis=0)] if len(joined) else joined
+    number = np.concatenate([index, rows * columns + np.arange(len(rim))])
+    faces = np.concatenate([_cells(kept, columns), number[joined]])
+    vertices = np.concatenate([posts, rim])
+    at_texel = np.concatenate([
+        np.stack(texels.to_pixel(x, y), axis=-1).reshape(-1, 2),
+        np.stack(texels.to_pixel(*grid.to_map(*(at.T + 0.5))), axis=-1),
+    ])  # fmt: skip
+    uv = np.clip(at_texel / (texels.width, texels.height), 0.0, 1.0)
+    corner = vertices[faces][..., :2]
+    u, v = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+    faces = np.where((area < 0.0)[:, None], faces[:, ::-1], faces)[np.abs(area) > 1e-9]
+    if not len(faces):
+        raise ThermorenderError(f"{grid.name} has no ground outside of the scene; give a raster of a larger area")
+    used, faces = np.unique(faces, return_inverse=True)
+    faces = faces.reshape(-1, 3).astype(np.int32)
+    footprint = GroundPlan(posts.reshape(rows, columns, 3), kept | hole, lattice)
+    return (vertices[used], faces, uv[used][faces].astype(np.float32)), footprint
+
+
+def _outer_rim(inside: Sequence[GroundPlan]) -> _Floats:
+    """Posts of the rims of grounds, (n, 3) [m], without those on the ground of another."""
+    found = []
+    for own in inside:
+        rim = own.rim()
+        for other in inside:
+            rim = rim if other is own else rim[~other.covers(rim)]
+        found.append(rim)
+    return np.concatenate(found)
+
+
+def _between(
+    surface: _Floats, rim: _Floats, at: _Floats, outer: _Floats, hole: NDArray[np.bool_], inside: Sequence[GroundPlan]
+) -> tuple[_Floats, _Floats]:
+    """((column, row) (n, 2), local positions (n, 3) [m]) of points between a rim (n, 3) at `at` (n, 2) and the posts
+    `outer` (n, 2) around the hole.
+
+    Their distance grows with that from the rim. Their heights lead from those of the rim to those of the posts
+    `surface` (r, c, 3).
+    """
+    from scipy.ndimage import map_coordinates
+    from scipy.spatial import KDTree
+
+    def on_posts(points: _Floats) -> _Floats:
+        return np.stack([map_coordinates(each, points[:, ::-1].T, order=1, mode="nearest")
+                         for each in np.moveaxis(surface, -1, 0)], axis=-1)  # fmt: skip
+
+    edge, around, found = KDTree(at), KDTree(outer if len(outer) else at), list[_Floats]()
+    side = float(np.median(edge.query(at, k=2)[0][:, 1])) if len(at) > 1 else 1.0
+    rows, columns = np.nonzero(hole)
+    step = 0.5
+    while step > side and len(rows):
+        # Lattice points of a level in cells of the hole that are near enough to the rim for it.
+        near = edge.query(np.stack([columns, rows], axis=-1) + 0.5)[0] < _FARTHEST * step + 1.0
+        count = round(1.0 / step)
+        offset = (np.stack(np.meshgrid(np.arange(count), np.arange(count)), axis=-1).reshape(-1, 2) + 0.5) * step
+        points = (np.stack([columns[near], rows[near]], axis=-1)[:, None] + offset).reshape(-1, 2)
+        away = edge.query(points)[0]
+        points = points[(away > step) & (away <= _FARTHEST * step)]
+        if len(outer):
+            points = points[around.query(points)[0] > np.sqrt(0.5)]
+        found.append(points)
+        step *= 0.5
+    chosen = np.concatenate([np.zeros((0, 2)), *found])
+    places = on_posts(chosen)
+    known = np.asarray(np.isfinite(places).all(axis=1))
+    known[known] = ~np.any([each.covers(places[known]) for each in inside], axis=0)
+    chosen, places = chosen[known], places[known]
+    off = rim[:, 2] - on_posts(at)[:, 2]
+    off[~np.isfinite(off)] = 0.0
+    away, nearest = edge.query(chosen, k=np.arange(1, min(_AVERAGED, len(at)) + 1))
+    # Towards the rim its own heights, farther out their mean around.
+    weight = 1.0 / (away + 1e-3 * side) ** 2
+    mean = (weight * off[nearest]).sum(axis=1) / weight.sum(axis=1)
+    places[:, 2] += mean * np.maximum(1.0 - away[:, 0], 0.0)
+    return chosen, places
+
+
+def _any_corner(of_posts: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Whether a cell has such a post, (r - 1, c - 1)."""
+    found: NDArray[np.bool_] = of_posts[1:, 1:] | of_posts[1:, :-1] | of_posts[:-1, 1:] | of_posts[:-1, :-1]
+    return found
+
+
+def _any_cell(of_cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Whether a post is at such a cell, (r, c)."""
+    return _any_corner(np.pad(of_cells, 1))
+
+
+def _cells(kept: NDArray[np.bool_], columns: int) -> NDArray[np.int64]:
+    """The two triangles of cells, (2 n, 3) numbers of posts."""
+    row, column = np.nonzero(kept)
+    a = row * columns + column
+    b, c, d = a + 1, a + columns, a + columns + 1
+    return np.stack([np.stack([a, c, d], axis=-1), np.stack([a, d, b], axis=-1)], axis=1).reshape(-1, 3)
+
+
+def refuse_finer(grid: Grid, spacing_m: float, inside: Sequence[GroundPlan]) -> None:
+    """Refuse far ground whose posts are closer than those of the ground inside."""
+    finest = max(each.spacing_m() for each in inside)
+    if spacing_m < _CLOSER * finest:
+        raise ThermorenderError(
+            f"{grid.name} has posts {spacing_m:.3g} m apart, and the ground inside of it {finest:.3g} m; give the "
+            "finer raster as the scene's ground, or thin this one, for example with `rio warp --res`"
+        )
+
+
+def stitched(far: Surface, inside: Sequence[Surface]) -> Surface:
+    """Return far ground whose edges at ground `inside` are cut where finer triangles have cut them there."""
+    from scipy.spatial import KDTree
+
+    known = {tuple(place) for place in far.vertices[np.unique(_border(far.faces))].tolist()}
+    borders = [surface.vertices[np.unique(_border(surface.faces))] for surface in inside]
+    new = np.array([place for border in borders for place in border.tolist() if tuple(place) not in known])
+    # A face with two such edges is cut twice.
+    while len(new):
+        side = _border(far.faces)
+        start, end = far.vertices[side[:, 0]], far.vertices[side[:, 1]]
+        _, near = KDTree(0.5 * (start + end)).query(new, k=np.arange(1, min(_NEAREST, len(side)) + 1))
+        along, length = end - start, np.linalg.norm(end - start, axis=1)
+        part = np.einsum("nkc,nkc->nk", new[:, None] - start[near], along[near]) / np.square(length)[near]
+        away = np.linalg.norm(new[:, None] - start[near] - part[..., None] * along[near], axis=-1)
+        away = np.where((part > 0.0) & (part < 1.0), away, np.inf)
+        best = away.argmin(axis=1)
+        rows = np.arange(len(new))
+        on = away[rows, best] < _ON_EDGE * (1.0 + length[near[rows, best]])
+        edge, part, new = near[rows, best][on], part[rows, best][on], new[on]
+        far, done = _cut(far, side, edge, part, new)
+        new = new[~done]
+    return far
+
+
+def _border(faces: NDArray[np.integer]) -> NDArray[np.integer]:
+    """The edges of a single face, (n, 2) numbers of vertices in the order of their face."""
+    edge = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    _, first, count = np.unique(np.sort(edge, axis=1), axis=0, return_index=True, return_counts=True)
+    return edge[first[count == 1]]
+
+
+def _cut(
+    far: Surface, side: NDArray[np.integer], edge: NDArray[np.integer], part: _Floats, new: _Floats
+) -> tuple[Surface, NDArray[np.bool_]]:
+    """(Far ground with triangles cut at points `new` (n, 3), at parts of edges `side[edge]`; which points it has now).
+    One edge of a triangle is cut."""
+    faces, uv = list[NDArray[np.integer]](), list[NDArray[np.float32]]()
+    number = {(int(a), int(b)): k for k, (a, b) in enumerate(side)}
+    points = dict[int, list[int]]()
+    for n in np.lexsort((part, edge)).tolist():
+        points.setdefault(int(edge[n]), []).append(n)
+    whole, done = np.ones(len(far.faces), bool), np.zeros(len(new), bool)
+    at_border = np.flatnonzero(np.isin(far.faces, np.unique(side)).sum(axis=1) > 1)
+    for face in at_border.tolist():
+        for k in range(3):
+            a, b, c = (int(far.faces[face, (k + j) % 3]) for j in range(3))
+            own = points.get(number.get((a, b), -1))
+            if own is None:
+                continue
+            u, v, w = (far.uv[face, (k + j) % 3] for j in range(3))
+            between = [u + np.float32(part[n]) * (v - u) for n in own]
+            chain, place = [a, *(len(far.vertices) + n for n in own), b], [u, *between, v]
+            faces += [np.array([p, q, c]) for p, q in zip(chain[:-1], chain[1:], strict=True)]
+            uv += [np.array([p, q, w]) for p, q in zip(place[:-1], place[1:], strict=True)]
+            whole[face], done[own] = False, True
+            break
+    if not done.any():
+        return far, np.ones(len(new), bool)
+    return replace(
+        far, vertices=np.concatenate([far.vertices, new]),
+        faces=np.concatenate([far.faces[whole], np.array(faces)]).astype(far.faces.dtype),
+        uv=np.concatenate([far.uv[whole], np.array(uv)]).astype(np.float32),
+    ), done  # fmt: skip
