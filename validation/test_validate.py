@@ -33,6 +33,7 @@ from validation.footage import study as sensor_statistics
 from validation.gpu import study as gpu
 from validation.growth import study as growth
 from validation.heights import study as heights
+from validation.horizon import study as horizon
 from validation.made_scenes import terrain
 from validation.sensor import study as sensor
 
@@ -234,6 +235,16 @@ def test_convergence_measures_missing_cases_only(tmp_path, monkeypatch):
         convergence.convergence((scene,), tmp_path, mode=mode)
     with pytest.raises(ThermorenderError, match=r"mode='slow' is unknown; give one of quick, full"):
         convergence.convergence((), tmp_path, mode="slow")
+
+
+def test_far_ground_makes_frames_toward_the_horizon_more_accurate(tmp_path, short_heat):
+    cases = horizon.run(tmp_path, (400.0,), (300.0,), (-5.0,), world_m=8000.0)
+    none, coarse = cases
+    assert (none["far"], coarse["far"]) == ("none", "400") and none["triangles"] < coarse["triangles"]
+    assert none["pixels"] == coarse["pixels"] and sum(none["pixels"]) > 100_000
+    assert coarse["rms_k"][1] < none["rms_k"][1] and none["rms_k"][4] is None
+    assert [len(row) for row in horizon.rows(cases)] == [len(horizon.HEADER)] * 2
+    assert json.loads((tmp_path / "horizon.json").read_text())["cases"] == cases
 
 
 @pytest.mark.slow
