@@ -4,6 +4,9 @@ import re
 
 import numpy as np
 import pytest
+import rasterio
+from rasterio import warp
+from rasterio.windows import Window
 
 import thermorender as tr
 from scenes import WEATHER, narrow, write_mesh, write_raster, write_terrain
@@ -13,6 +16,7 @@ from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.drape import mixed_classes_on
 from thermorender.scene.open_ground import broadband
 from thermorender.scene.raster import Grid, grid_of
+from thermorender.scene.surface import UNKNOWN
 
 # Middle of the terrain of `write_terrain` on its map.
 MIDDLE = np.array([500008.0, 5779992.0])
@@ -88,6 +92,40 @@ def test_rings_close_around_one_another(tmp_path):
     assert np.abs(open_edges(scene.surfaces)[..., :2]).max(axis=(1, 2)).min() > 3000.0
     level = lambda east: scene.ground(east, 0.0) + east**2 * 0.5 / 7.323e6  # noqa: E731
     assert [level(east) for east in (0.0, 200.0, 2000.0)] == pytest.approx([0.0, 2.0, 5.0], abs=0.02)
+
+
+def test_far_ground_in_degrees_closes_where_they_are_four_times_as_high_as_wide(tmp_path):
+    """75° north, around a scene with a ragged edge: sides of its rim differ fourfold on the lattice of far posts."""
+    near = np.random.default_rng(3).uniform(0.0, 3.0, (40, 40))
+    near[np.random.default_rng(4).uniform(size=near.shape) < 0.1] = np.nan
+    table = FAR.replace("far.tif", "degrees.tif") + 'classes = "classes_far.tif"\n'
+    write_terrain(tmp_path, height=near, extra=table)
+    corner = 500000.0, 8325000.0
+    for name in ("elevation", "orthophoto", "temperature", "classes"):
+        with rasterio.open(tmp_path / f"{name}.tif", "r+") as file:
+            step = file.transform.a
+            file.transform = rasterio.Affine(step, 0.0, corner[0], 0.0, -step, corner[1])
+    (longitude,), (latitude,) = warp.transform("EPSG:32634", "EPSG:4326", [corner[0] + 20.0], [corner[1] - 20.0])
+    step = 3.0 / 3600.0
+    place = {"crs": "EPSG:4326", "corner": (longitude - 30.0 * step, latitude + 30.0 * step)}
+    write_raster(tmp_path / "degrees.tif", np.ones((1, 60, 60), np.float32), step, **place)
+    write_raster(tmp_path / "classes_far.tif", np.ones((1, 60, 60), np.uint8), step, **place)
+    scene = tr.load_scene(tmp_path)
+    assert np.abs(open_edges(scene.surfaces)[..., :2]).max(axis=(1, 2)).min() > 600.0
+
+
+def test_gaps_of_a_ring_are_closed_by_the_next_one(tmp_path):
+    classes = 'classes = "far_classes.tif"\n'
+    write_terrain(tmp_path, extra=FAR + classes + FAR.replace("far.tif", "outer.tif") + classes)
+    write_far(tmp_path, np.ones((41, 41), np.uint8), 200.0, "far_classes.tif")
+    write_far(tmp_path, np.zeros((41, 41), np.float32), 100.0, "outer.tif")
+    rng = np.random.default_rng(5)
+    for _ in range(4):
+        ring = rng.uniform(0.0, 30.0, (41, 41)).astype(np.float32)
+        ring[rng.uniform(size=ring.shape) < 0.1] = np.nan
+        write_far(tmp_path, ring, 10.0, nodata=np.nan)
+        scene = tr.load_scene(tmp_path)
+        assert np.abs(open_edges(scene.surfaces)[..., :2]).max(axis=(1, 2)).min() > 1900.0
 
 
 def test_a_mesh_is_closed_by_far_ground(tmp_path):
@@ -172,7 +210,7 @@ def test_the_balance_of_mixed_far_texels_is_the_mean_of_their_parts(tmp_path):
     for name, classes in (("mixed", None), ("grass", 1), ("sand", 2)):
         folder = tmp_path / name
         far_scene(folder)
-        text = (folder / "scene.toml").read_text()
+        text = (folder / "scene.toml").read_text().replace("temperature = 280.0\n", "")
         text = re.sub(r'\[temperature\]\nsource = "raster"\nraster = "temperature.tif"\n', source, text)
         (folder / "scene.toml").write_text(text.replace('[truth]\ntemperature = "temperature.tif"\n', WEATHER))
         fine = (
@@ -206,11 +244,61 @@ def test_a_raster_of_temperatures_needs_those_of_far_ground(tmp_path):
 def test_far_ground_elsewhere_and_finer_than_the_scene_is_refused(tmp_path):
     write_terrain(tmp_path, extra=FAR)
     write_raster(tmp_path / "far.tif", np.zeros((1, 20, 20), np.float32), 100.0, corner=(600000.0, 5780000.0))
-    with pytest.raises(ThermorenderError, match="surround"):
+    with pytest.raises(ThermorenderError, match="does not surround the ground inside of it: 100%"):
+        tr.load_scene(tmp_path)
+    # Beside the scene there is no ground on one side.
+    write_raster(tmp_path / "far.tif", np.zeros((1, 20, 20), np.float32), 10.0, corner=(500004.0, 5780100.0))
+    with pytest.raises(ThermorenderError, match="give a wider raster, and several of them from the inner to the outer"):
         tr.load_scene(tmp_path)
     write_far(tmp_path, np.zeros((200, 200), np.float32), 0.4)
     with pytest.raises(ThermorenderError, match=r"0\.4 m apart"):
         tr.load_scene(tmp_path)
+
+
+def test_statements_on_far_ground_are_used_or_refused(tmp_path):
+    far_scene(tmp_path)
+    text = (tmp_path / "scene.toml").read_text()
+    raster = 'source = "raster"\nraster = "temperature.tif"\n'
+    cases = {
+        text.replace(raster, 'source = "balance"\n').replace('[truth]\ntemperature = "temperature.tif"\n', WEATHER):
+            "terrain.far.temperature is given, and temperature.source='balance' solves far ground too; leave it out",
+        text.replace("temperature = 280.0", 'temperature = 280.0\nheight_reference = "geoid"'):
+            "far ground are above the geoid, and those of the scene above the ellipsoid; give geoid_undulation_m",
+    }  # fmt: skip
+    for content, said in cases.items():
+        (tmp_path / "scene.toml").write_text(content)
+        with pytest.raises(ThermorenderError) as error:
+            tr.load_scene(tmp_path)
+        assert said in str(error.value)
+    (tmp_path / "scene.toml").write_text(
+        text.replace("temperature = 280.0", 'temperature = 280.0\nheight_reference = "geoid"').replace(
+            'orthophoto = "orthophoto.tif"', 'orthophoto = "orthophoto.tif"\ngeoid_undulation_m = 30.0'
+        )
+    )
+    assert tr.load_scene(tmp_path).ground(500.0, 0.0) == pytest.approx(30.0 - 0.02, abs=0.01)
+    write_far(tmp_path, np.ones((20, 20), np.uint8), 40.0, "far_classes.tif")
+    (tmp_path / "scene.toml").write_text(text)
+    with pytest.raises(ThermorenderError, match=r"covers 1[0-9]% of the ground of"):
+        tr.load_scene(tmp_path)
+
+
+def test_posts_of_kilometres_around_a_scene_of_metres_take_seconds(tmp_path):
+    scene = far_scene(tmp_path, 1.0, step=9000.0, posts=9)
+    assert np.abs(open_edges(scene.surfaces)[..., :2]).max(axis=(1, 2)).min() > 30_000.0
+    assert len(scene.surfaces[1].faces) < 20_000
+
+
+def test_a_learned_emissivity_map_leaves_coarse_far_ground_to_the_fallback(tmp_path):
+    far_scene(tmp_path)
+    text = (tmp_path / "scene.toml").read_text()
+    learned = '[emissivity]\nsource = "learned"\nmodel = "procedural"\nfallback = "soil_loam"\n'
+    a, b = text.index("[emissivity]"), text.index("[sky]")
+    text = text[:a] + learned + text[b:].replace('classes = "far_classes.tif"', 'orthophoto = "picture.tif"')
+    write_raster(tmp_path / "picture.tif", np.full((3, 61, 61), 90, np.uint8), 40.0,
+                 corner=tuple(MIDDLE + 1220.0 * np.array([-1.0, 1.0])), photometric="RGB")  # fmt: skip
+    (tmp_path / "scene.toml").write_text(text)
+    far = tr.load_scene(tmp_path).surfaces[1]
+    assert (far.flags & UNKNOWN).all() and len(np.unique(far.material)) == 1 and (far.colour == 90).all()
 
 
 def test_an_area_paints_the_scene_and_not_far_ground(tmp_path):
@@ -238,6 +326,11 @@ def test_an_import_puts_a_wider_model_around_the_scene(tmp_path, call):
     assert [each.name for each in scene.surfaces] == ["terrain", "far 1", "far 2"]
     assert (scene.surfaces[1].colour == 90).mean() > 0.99
     assert (scene.surfaces[2].temperature == 288.15).all()
+    status, _, errors = call(
+        "import-terrain", near / "elevation.tif", "-o", tmp_path / "wrong", "--far", tmp_path / "wider.tif", "--far",
+        tmp_path / "wide.tif",
+    )  # fmt: skip
+    assert status == 2 and "far_2_elevation.tif does not surround" in errors and not (tmp_path / "wrong").exists()
 
 
 def test_classes_of_far_ground_are_used_or_refused(tmp_path):
@@ -251,3 +344,39 @@ def test_classes_of_far_ground_are_used_or_refused(tmp_path):
     (tmp_path / "scene.toml").write_text(text.replace(table, table.replace("far_classes", "none")))
     with pytest.raises(ThermorenderError, match=r"none\.tif' does not exist"):
         tr.load_scene(tmp_path)
+
+
+def test_a_square_of_a_file_of_any_size_is_imported(tmp_path, call):
+    """Of rasters of 3.6 and 14.4 thousand million pixels, and with the same values as of files of the square alone."""
+    corner, sides = (470000.0, 5810000.0), {"heights": (60_000, 1.0, 1), "colours": (120_000, 0.5, 3)}
+    rng = np.random.default_rng(4)
+    for name, (side, step, bands) in sides.items():
+        count = round(400 / step)
+        values = rng.uniform(20, 200, (bands, count, count)).astype(np.float32 if bands == 1 else np.uint8)
+        middle = side // 2 - count // 2
+        here = corner[0] + middle * step, corner[1] - middle * step
+        options = {"photometric": "RGB"} if bands == 3 else {"nodata": -9999.0}
+        write_raster(tmp_path / f"{name}_alone.tif", values, step, corner=here, **options)
+        with rasterio.open(
+            tmp_path / f"{name}.tif", "w", driver="GTiff", width=side, height=side, count=bands, dtype=values.dtype,
+            crs="EPSG:32634", transform=rasterio.Affine(step, 0.0, corner[0], 0.0, -step, corner[1]), tiled=True,
+            blockxsize=512, blockysize=512, SPARSE_OK=True, BIGTIFF="YES", compress="deflate", **options,
+        ) as file:  # fmt: skip
+            file.write(values, window=Window(middle, middle, count, count))
+    for name in ("", "_alone"):
+        files = tmp_path / f"heights{name}.tif", tmp_path / f"colours{name}.tif"
+        around = "52.17048216,21.0,300"
+        status, _, errors = call("import-terrain", *files, "--around", around, "-o", tmp_path / f"mine{name}")
+        assert status == 0, errors
+    for name in ("elevation", "orthophoto"):
+        found = []
+        for folder in ("mine", "mine_alone"):
+            with rasterio.open(tmp_path / folder / f"{name}.tif") as file:
+                found.append((file.read(), file.transform))
+        assert found[0][0].shape[1] >= 299 and np.array_equal(found[0][0], found[1][0])
+        assert found[0][1].almost_equals(found[1][1], 1e-6)
+    for around, said in (
+        ("52,21", "3 are needed: LATITUDE,LONGITUDE,SIDE"), ("52,21,0", "is not allowed"), ("10,21,300", "not reach")
+    ):  # fmt: skip
+        status, _, errors = call("import-terrain", *files, "--around", around, "-o", tmp_path / "none")
+        assert status == 2 and said in errors and not (tmp_path / "none").exists()

@@ -82,9 +82,10 @@ class SceneAir:
         self._seen: dict[int, Floats] = {}
         self._last: tuple[bytes, AirView] | None = None
 
-    def view(self, origin: Floats, box: Floats, low_m: float, clear: bool = False) -> "AirView":
+    def view(self, origin: Floats, box: Floats, low_m: float | None = None, clear: bool = False) -> "AirView":
         """Return the AirView from `origin` (3,) [m] to a `box` (2, 3) [m], cached; with `clear`, paths to surfaces have
-        no air. Nothing in the box is below `low_m`, over a round Earth [m]."""
+        no air. Nothing in the box is below `low_m` over a round Earth [m], by default its lowest corner."""
+        low_m = float(box[0, 2]) if low_m is None else low_m
         if clear:
             return self._view(origin, box, low_m, clear)
         # Read and replaced as a whole: another thread may render another view meanwhile.

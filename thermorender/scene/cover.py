@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
+from thermorender.learned.emissivity.mapping import COARSEST_RATIO, load_map
 from thermorender.materials import library as material_tables
 from thermorender.materials.material import Material, grey
 from thermorender.materials.mixture import mix, parts_of
@@ -164,7 +165,7 @@ def _raster_cover(
             rest = emissivity.fallback or "the class beside them"
             report.update(model=name, fallback=rest, share_unknown=share)
         valid &= known
-    elif emissivity.source == "learned" and drape.colour is not None:
+    elif emissivity.source == "learned" and drape.colour is not None and _readable(surface, emissivity):
         filled = drape.colour if valid.all() else fill(drape.colour, nearest_valid(valid))
         assert drape.height is not None
         picture = Picture(filled, valid, surface.texel_m,
@@ -172,6 +173,7 @@ def _raster_cover(
         (material,), (unknown,) = _learned([picture], emissivity, materials, report, no_snow)
     else:
         material = np.full(shape, _one_material(surface, emissivity, materials), np.uint8)
+        unknown |= emissivity.source in ("classes", "learned")
     if colour is None:
         colour = np.array([m.colour for m in materials.used], dtype=np.uint8)[material]
     if not valid.all():
@@ -218,6 +220,12 @@ def _joined(parts: Sequence[tuple[Material, float]]) -> list[tuple[Material, flo
     for material, part in parts:
         share[id(material)] = share.get(id(material), 0.0) + part
     return [(material, share[id(material)]) for material in {id(one): one for one, _ in parts}.values()]
+
+
+def _readable(surface: Surface, emissivity: EmissivitySpec) -> bool:
+    """Whether a learned map reads the texels of a ground; those of far ground may be too coarse for it."""
+    assert emissivity.model is not None
+    return not surface.far or surface.texel_m <= COARSEST_RATIO * load_map(emissivity.model).texel_m
 
 
 def _one_material(surface: Surface, emissivity: EmissivitySpec, materials: MaterialList) -> int:

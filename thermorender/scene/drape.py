@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.scene.raster import Grid, bounds_in, grid_of, onto, read_classes
+from thermorender.scene.raster import Grid, bounds_in, describe, grid_of, onto, read_classes
 
 # Mixtures of classes of a coarse ground at most; shares of classes are rounded to such parts.
 _MOST_MIXED, _PARTS = 48, 8
@@ -51,13 +51,9 @@ def require_overlap(one: Grid, other: Grid) -> None:
     a, b = bounds_in(other.crs, one), other.bounds
     if min(a[2], b[2]) <= max(a[0], b[0]) or min(a[3], b[3]) <= max(a[1], b[1]):
         raise ThermorenderError(
-            f"{one.name} covers {_extent(a)} and {other.name} covers {_extent(b)}: they do not overlap; "
+            f"{one.name} covers {describe(a)} and {other.name} covers {describe(b)}: they do not overlap; "
             "give rasters of the same area"
         )
-
-
-def _extent(bounds: tuple[float, ...]) -> str:
-    return f"x {bounds[0]:.0f}…{bounds[2]:.0f}, y {bounds[1]:.0f}…{bounds[3]:.0f}"
 
 
 def classes_on(path: Path, names: Mapping[int, str], texels: Grid, where: str) -> NDArray[np.uint8]:

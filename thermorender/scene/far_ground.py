@@ -16,7 +16,7 @@ from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.georeference import Place
 from thermorender.scene.ground import Ground
 from thermorender.scene.raster import Grid, lon_lat
-from thermorender.scene.surface import Surface
+from thermorender.scene.surface import MOST_OPEN, Surface, fill, nearest_valid
 from thermorender.scene.textures import separate
 
 _Floats = NDArray[np.float64]
@@ -26,7 +26,9 @@ _LATTICE = 512
 _CLOSER = 0.75
 # Points between rim and posts of far ground are up to this many times their spacing from the rim; posts of the rim
 # whose heights such a point follows.
-_FARTHEST, _AVERAGED = 2.5, 64
+_FARTHEST, _FARTHEST_STEPS, _AVERAGED = 2.5, 4, 64
+# Times that sides of a rim are halved until all are edges of the triangulation.
+_HALVINGS = 12
 # Edges among which the one that a point lies on is sought, and its largest distance from it per length.
 _NEAREST, _ON_EDGE = 8, 1e-6
 
@@ -39,11 +41,18 @@ class GroundPlan:
     cells: NDArray[np.bool_]  # (r - 1, c - 1) cells with ground
     lattice: Callable[[_Floats], _Floats]  # (column, row) (n, 2) of local positions (n, 3); posts have whole numbers
 
-    def rim(self) -> _Floats:
-        """Return the posts between cells with and without ground, (n, 3) [m]."""
-        inside = np.pad(self.cells, 1).astype(np.int8)
-        count = inside[1:, 1:] + inside[1:, :-1] + inside[:-1, 1:] + inside[:-1, :-1]
-        return self.posts[(count > 0) & (count < 4)]
+    def rim(self) -> tuple[_Floats, NDArray[np.integer]]:
+        """Return (posts between cells with and without ground, (n, 3) [m]; the two of each side of such a cell, (m,
+        2))."""
+        inside = np.pad(self.cells, 1)
+        number = np.arange(self.posts[..., 0].size).reshape(self.posts.shape[:2])
+        along, across = inside[:-1, 1:-1] != inside[1:, 1:-1], inside[1:-1, :-1] != inside[1:-1, 1:]
+        sides = np.concatenate([
+            np.stack([number[:, :-1][along], number[:, 1:][along]], axis=-1),
+            np.stack([number[:-1][across], number[1:][across]], axis=-1),
+        ])  # fmt: skip
+        used, index = np.unique(sides, return_inverse=True)
+        return self.posts.reshape(-1, 3)[used], index.reshape(-1, 2)
 
     def covers(self, points: _Floats) -> NDArray[np.bool_]:
         """Return whether local positions (n, 3) are above or below its ground, (n,)."""
@@ -97,66 +106,46 @@ def raised_m(east: _Floats, north: _Floats) -> _Floats:
 
 
 def far_mesh(
-    height: _Floats, grid: Grid, frame: LocalFrame, texels: Grid, inside: Sequence[GroundPlan]
+    height: _Floats, grid: Grid, frame: LocalFrame, texels: Grid, inside: GroundPlan
 ) -> tuple[tuple[_Floats, NDArray[np.int32], NDArray[np.float32]], GroundPlan]:
     """Return ((vertices (V, 3) [m], faces (F, 3), uv (F, 3, 2)), GroundPlan) of heights (h, w) around other ground.
 
     Cells that meet the ground `inside` are left out. The Delaunay triangulation of the posts around them, of the posts
-    of its rim, and of points between them closes the gap. No point is in the circle around a side of rim or hole, so
-    that these are edges of it.
+    of its rim, and of points between them closes the gap. Posts there without a height have that of the nearest one.
     """
-    from scipy.spatial import Delaunay
-
     rows, columns = height.shape
     column, row = np.meshgrid(np.arange(columns), np.arange(rows))
     x, y = grid.to_map(column + 0.5, row + 0.5)
     longitude, latitude = lon_lat(grid, x.ravel(), y.ravel())
     known = np.isfinite(height)
-    level = np.where(known, height, height[known].min())
+    level = fill(height, nearest_valid(known))
     posts = frame.enu_from_geodetic(latitude, longitude, level.ravel())
     posts[:, 2] += raised_m(posts[:, 0], posts[:, 1])
-    lattice = _on_grid(grid, frame)
-    rim = _outer_rim(inside)
+    lattice, (rim, sides) = _on_grid(grid, frame), inside.rim()
     at = lattice(rim)
-    within = ((at >= 0.0) & (at <= (columns - 1, rows - 1))).all(axis=1)
-    if not within.any():
-        raise ThermorenderError(
-            f"{grid.name} does not surround the scene: none of its edge is inside; give a raster that covers it"
-        )
-    rim, at = rim[within], at[within]
-    cell = np.minimum(at.astype(np.int64), (columns - 2, rows - 2))
-    blocked = np.zeros((rows - 1, columns - 1), bool)
-    blocked[cell[:, 1], cell[:, 0]] = True
-    first, last = cell.min(axis=0), cell.max(axis=0) + 1
-    part = slice(first[1], last[1] + 1), slice(first[0], last[0] + 1)
-    hidden = np.zeros((rows, columns), bool)
-    some = posts.reshape(rows, columns, 3)[part]
-    hidden[part] = np.any([each.covers(some.reshape(-1, 3)) for each in inside], axis=0).reshape(some.shape[:2])
-    blocked |= _any_corner(hidden)
-    clear = ~_any_cell(blocked)
-    hole = _any_corner(~clear)
-    kept = ~hole & ~_any_corner(~known)
-    edge = clear & known & _any_cell(hole)
+    _refuse_outside(at, rows, columns, grid)
+    clear, hole = _hole(at, posts.reshape(rows, columns, 3), inside)
+    edge = clear & _any_cell(hole)
+    kept = ~hole & ~_any_corner(~(known | edge))
     index = np.flatnonzero(edge)
     outer = np.stack([column, row], axis=-1).reshape(-1, 2)[index].astype(np.float64)
-    surface = np.where(known[..., None], posts.reshape(rows, columns, 3), np.nan)
-    added, places = _between(surface, rim, at, outer, hole, inside)
-    at, rim = np.concatenate([at, added]), np.concatenate([rim, places])
-    points, positions = np.concatenate([outer, at]), np.concatenate([posts[index], rim])
-    joined = Delaunay(points).simplices if len(points) > 3 else np.zeros((0, 3), np.int32)
+    added, places = _between(posts.reshape(rows, columns, 3), rim, at, outer, hole, inside)
+    points, positions = np.concatenate([at, outer, added]), np.concatenate([rim, posts[index], places])
+    joined, ends = _with_sides(points, sides)
+    for one, other in ends:
+        points = np.concatenate([points, 0.5 * (points[[one]] + points[[other]])])
+        positions = np.concatenate([positions, 0.5 * (positions[[one]] + positions[[other]])])
     middle = points[joined].mean(axis=1)
     there = np.clip(np.floor(middle).astype(np.int64), 0, (columns - 2, rows - 2))
-    joined = joined[hole[there[:, 1], there[:, 0]]]
-    middle_m = positions[joined].mean(axis=1)
-    joined = joined[~np.any([each.covers(middle_m) for each in inside], axis=0)] if len(joined) else joined
-    number = np.concatenate([index, rows * columns + np.arange(len(rim))])
+    joined = joined[hole[there[:, 1], there[:, 0]] & ~inside.covers(positions[joined].mean(axis=1))]
+    number = rows * columns + np.arange(len(points))
+    number[len(at) : len(at) + len(index)] = index
     faces = np.concatenate([_cells(kept, columns), number[joined]])
-    vertices = np.concatenate([posts, rim])
+    vertices = np.concatenate([posts, positions])
     at_texel = np.concatenate([
         np.stack(texels.to_pixel(x, y), axis=-1).reshape(-1, 2),
-        np.stack(texels.to_pixel(*grid.to_map(*(at.T + 0.5))), axis=-1),
+        np.stack(texels.to_pixel(*grid.to_map(*(points.T + 0.5))), axis=-1),
     ])  # fmt: skip
-    uv = np.clip(at_texel / (texels.width, texels.height), 0.0, 1.0)
     corner = vertices[faces][..., :2]
     u, v = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
@@ -165,60 +154,111 @@ def far_mesh(
         raise ThermorenderError(f"{grid.name} has no ground outside of the scene; give a raster of a larger area")
     used, faces = np.unique(faces, return_inverse=True)
     faces = faces.reshape(-1, 3).astype(np.int32)
-    footprint = GroundPlan(posts.reshape(rows, columns, 3), kept | hole, lattice)
-    return (vertices[used], faces, uv[used][faces].astype(np.float32)), footprint
+    uv = at_texel[used] / (texels.width, texels.height)
+    _refuse_bare(uv, texels, grid)
+    uv = np.clip(uv, 0.0, 1.0)
+    plan = GroundPlan(posts.reshape(rows, columns, 3), kept | hole, lattice)
+    return (vertices[used], faces, uv[faces].astype(np.float32)), plan
 
 
-def _outer_rim(inside: Sequence[GroundPlan]) -> _Floats:
-    """Posts of the rims of grounds, (n, 3) [m], without those on the ground of another."""
-    found = []
-    for own in inside:
-        rim = own.rim()
-        for other in inside:
-            rim = rim if other is own else rim[~other.covers(rim)]
-        found.append(rim)
-    return np.concatenate(found)
+def _refuse_outside(at: _Floats, rows: int, columns: int, grid: Grid) -> None:
+    """Refuse far ground that does not lie all around the ground inside, whose rim is at (column, row) (n, 2)."""
+    outside = ((at < 0.0) | (at > (columns - 1, rows - 1))).any(axis=1)
+    if outside.any():
+        raise ThermorenderError(
+            f"{grid.name} does not surround the ground inside of it: {outside.mean():.0%} of that one's edge is beyond "
+            "its outer posts; give a wider raster, and several of them from the inner to the outer one"
+        )
+
+
+def _refuse_bare(uv: _Floats, texels: Grid, grid: Grid) -> None:
+    """Refuse colours or classes that do not cover far ground, whose vertices are at `uv` (V, 2) on their grid."""
+    over = 1.0 / np.array([texels.width, texels.height])
+    bare = float(((uv < -over) | (uv > 1.0 + over)).any(axis=1).mean())
+    if bare > MOST_OPEN:
+        raise ThermorenderError(
+            f"{texels.name} covers {1.0 - bare:.0%} of the ground of {grid.name} that lies around the scene; give one "
+            "that covers it, or cut the heights to it"
+        )
+
+
+def _hole(at: _Floats, posts: _Floats, inside: GroundPlan) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(posts (r, c) away from the ground inside, cells (r - 1, c - 1) with another post); the rim is at (column, row)
+    (n, 2)."""
+    rows, columns = posts.shape[:2]
+    cell = np.minimum(at.astype(np.int64), (columns - 2, rows - 2))
+    blocked = np.zeros((rows - 1, columns - 1), bool)
+    blocked[cell[:, 1], cell[:, 0]] = True
+    first, last = cell.min(axis=0), cell.max(axis=0) + 1
+    part = slice(first[1], last[1] + 1), slice(first[0], last[0] + 1)
+    hidden, some = np.zeros((rows, columns), bool), posts[part]
+    hidden[part] = inside.covers(some.reshape(-1, 3)).reshape(some.shape[:2])
+    clear = ~_any_cell(blocked | _any_corner(hidden))
+    return clear, _any_corner(~clear)
+
+
+def _with_sides(
+    points: _Floats, sides: NDArray[np.integer]
+) -> tuple[NDArray[np.integer], list[tuple[int, int]]]:  # fmt: skip
+    """(Delaunay triangles (t, 3) of points (n, 2) that have all `sides` (m, 2) among their edges; the two ends of each
+    point that is added in the middle of a side for that)."""
+    from scipy.spatial import Delaunay
+
+    ends = list[tuple[int, int]]()
+    triangles: NDArray[np.integer] = np.zeros((0, 3), np.int64)
+    for _ in range(_HALVINGS):
+        triangles = Delaunay(points).simplices if len(points) > 3 else triangles
+        edge = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+        keys = [np.sort(each, axis=1).astype(np.int64) @ (len(points), 1) for each in (edge, sides)]
+        missing = ~np.isin(keys[1], keys[0])
+        if not missing.any():
+            break
+        new = len(points) + np.arange(int(missing.sum()))
+        ends += [(int(a), int(b)) for a, b in sides[missing]]
+        points = np.concatenate([points, points[sides[missing]].mean(axis=1)])
+        halves = [np.stack([sides[missing][:, k], new], axis=-1) for k in (0, 1)]
+        sides = np.concatenate([sides[~missing], *halves])
+    return triangles, ends
 
 
 def _between(
-    surface: _Floats, rim: _Floats, at: _Floats, outer: _Floats, hole: NDArray[np.bool_], inside: Sequence[GroundPlan]
+    posts: _Floats, rim: _Floats, at: _Floats, outer: _Floats, hole: NDArray[np.bool_], inside: GroundPlan
 ) -> tuple[_Floats, _Floats]:
     """((column, row) (n, 2), local positions (n, 3) [m]) of points between a rim (n, 3) at `at` (n, 2) and the posts
     `outer` (n, 2) around the hole.
 
-    Their distance grows with that from the rim. Their heights lead from those of the rim to those of the posts
-    `surface` (r, c, 3).
+    Their distance grows with that from the rim. Their heights lead from those of the rim to those of `posts` (r, c, 3).
     """
     from scipy.ndimage import map_coordinates
     from scipy.spatial import KDTree
 
     def on_posts(points: _Floats) -> _Floats:
         return np.stack([map_coordinates(each, points[:, ::-1].T, order=1, mode="nearest")
-                         for each in np.moveaxis(surface, -1, 0)], axis=-1)  # fmt: skip
+                         for each in np.moveaxis(posts, -1, 0)], axis=-1)  # fmt: skip
 
-    edge, around, found = KDTree(at), KDTree(outer if len(outer) else at), list[_Floats]()
-    side = float(np.median(edge.query(at, k=2)[0][:, 1])) if len(at) > 1 else 1.0
-    rows, columns = np.nonzero(hole)
-    step = 0.5
-    while step > side and len(rows):
-        # Lattice points of a level in cells of the hole that are near enough to the rim for it.
-        near = edge.query(np.stack([columns, rows], axis=-1) + 0.5)[0] < _FARTHEST * step + 1.0
-        count = round(1.0 / step)
-        offset = (np.stack(np.meshgrid(np.arange(count), np.arange(count)), axis=-1).reshape(-1, 2) + 0.5) * step
-        points = (np.stack([columns[near], rows[near]], axis=-1)[:, None] + offset).reshape(-1, 2)
+    edge, around, found = KDTree(at), KDTree(outer if len(outer) else at), [np.zeros((0, 2))]
+    side, step = float(np.median(edge.query(at, k=2)[0][:, 1])), 0.5
+    steps = np.arange(-_FARTHEST_STEPS, _FARTHEST_STEPS + 1)
+    near = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    while step > side:
+        # Squares of a level around those that the rim passes.
+        square = np.unique(np.floor(at / step).astype(np.int64), axis=0)
+        square = np.unique((square[:, None] + near).reshape(-1, 2), axis=0)
+        points = (square + 0.5) * step
+        cell = np.floor(points).astype(np.int64)
+        within = ((cell >= 0) & (cell < hole.shape[::-1])).all(axis=1)
+        points, cell = points[within], cell[within]
+        points = points[hole[cell[:, 1], cell[:, 0]]]
         away = edge.query(points)[0]
         points = points[(away > step) & (away <= _FARTHEST * step)]
-        if len(outer):
-            points = points[around.query(points)[0] > np.sqrt(0.5)]
-        found.append(points)
+        # Closer ones would be in the circle around a side of the hole, which is then no edge.
+        found.append(points[around.query(points)[0] > np.sqrt(0.5)] if len(outer) else points)
         step *= 0.5
-    chosen = np.concatenate([np.zeros((0, 2)), *found])
+    chosen = np.concatenate(found)
     places = on_posts(chosen)
-    known = np.asarray(np.isfinite(places).all(axis=1))
-    known[known] = ~np.any([each.covers(places[known]) for each in inside], axis=0)
-    chosen, places = chosen[known], places[known]
+    outside = ~inside.covers(places)
+    chosen, places = chosen[outside], places[outside]
     off = rim[:, 2] - on_posts(at)[:, 2]
-    off[~np.isfinite(off)] = 0.0
     away, nearest = edge.query(chosen, k=np.arange(1, min(_AVERAGED, len(at)) + 1))
     # Towards the rim its own heights, farther out their mean around.
     weight = 1.0 / (away + 1e-3 * side) ** 2
@@ -246,9 +286,9 @@ def _cells(kept: NDArray[np.bool_], columns: int) -> NDArray[np.int64]:
     return np.stack([np.stack([a, c, d], axis=-1), np.stack([a, d, b], axis=-1)], axis=1).reshape(-1, 3)
 
 
-def refuse_finer(grid: Grid, spacing_m: float, inside: Sequence[GroundPlan]) -> None:
+def refuse_finer(grid: Grid, spacing_m: float, inside: GroundPlan) -> None:
     """Refuse far ground whose posts are closer than those of the ground inside."""
-    finest = max(each.spacing_m() for each in inside)
+    finest = inside.spacing_m()
     if spacing_m < _CLOSER * finest:
         raise ThermorenderError(
             f"{grid.name} has posts {spacing_m:.3g} m apart, and the ground inside of it {finest:.3g} m; give the "

@@ -176,33 +176,39 @@ def _drape(orthophoto: Path | None, height: NDArray[np.float64], grid: Grid, tex
 
 def _with_far(spec: SceneSpec, files: SceneFiles, inside: GroundPlan, where: str) -> SceneFiles:
     """Files with the far ground around those of the scene."""
-    around, ground, drapes = [inside], list(files.ground), list(files.drapes)
+    ground, drapes = list(files.ground), list(files.drapes)
     for number, one in enumerate(spec.terrain.far, 1):
         name = "far" if len(spec.terrain.far) == 1 else f"far {number}"
-        surface, drape, footprint = _far(one, name, spec, files.frame, around, where)
+        # The plan of far ground has that of the ground inside.
+        surface, drape, inside = _far(one, name, spec, files.frame, inside, where)
         ground.append(surface)
         drapes.append(drape)
-        around.append(footprint)
     return replace(files, ground=tuple(ground), drapes=tuple(drapes))
 
 
 def _far(
-    one: FarSpec, name: str, spec: SceneSpec, frame: LocalFrame | None, around: Sequence[GroundPlan], where: str
+    one: FarSpec, name: str, spec: SceneSpec, frame: LocalFrame | None, inside: GroundPlan, where: str
 ) -> tuple[Surface, Drape, GroundPlan]:  # fmt: skip
     """(Surface, Drape, GroundPlan) of one far ground."""
     assert frame is not None
-    height, grid = _heights(one.elevation, one.height_reference or spec.terrain.height_reference, spec)
+    own, reference = spec.terrain.height_reference, one.height_reference or spec.terrain.height_reference
+    if reference != own and spec.terrain.geoid_undulation_m is None:
+        raise ThermorenderError(
+            f"{where}: heights of {name} ground are above the {reference}, and those of the scene above the {own}; "
+            "give geoid_undulation_m in [terrain], the height of the geoid above the ellipsoid"
+        )
+    height, grid = _heights(one.elevation, reference, spec)
     finest = one.orthophoto or one.classes
     texels = grid if finest is None else grid_of(finest) if one.orthophoto else coarser(grid_of(finest))
     _require_alike(texels, grid)
-    far_ground.refuse_finer(grid, terrain.texel_size_m(grid, frame), around)
-    (vertices, faces, uv), footprint = far_ground.far_mesh(height, grid, frame, texels, around)
+    far_ground.refuse_finer(grid, terrain.texel_size_m(grid, frame), inside)
+    (vertices, faces, uv), plan = far_ground.far_mesh(height, grid, frame, texels, inside)
     surface = _surface(name, vertices, faces, uv, (texels.height, texels.width), terrain.texel_size_m(texels, frame))
     drape = _drape(one.orthophoto, height, grid, texels)
     if one.classes:
         numbers, mixed = mixed_classes_on(one.classes, spec.emissivity.classes, texels, where)
         drape = replace(drape, classes=numbers, mixed=mixed, classes_file=one.classes)
-    return replace(surface, far=True), drape, footprint
+    return replace(surface, far=True), drape, plan
 
 
 def _texel_grid(spec: SceneSpec, elevation_grid: Grid) -> Grid:

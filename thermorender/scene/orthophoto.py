@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.scene.raster import opened
+from thermorender.scene.raster import RasterWindow, opened
 
 _COLOURS = ("red", "green", "blue")
 # Levels from black or white of a collar that lossy compression changed; the default of GDAL's `nearblack`.
@@ -16,17 +16,22 @@ COLLAR = 15
 
 
 def read_colour(
-    path: Path, bands: Sequence[int] | None = None, colour_range: tuple[float, float] | None = None, collar: int = 0
+    path: Path,
+    bands: Sequence[int] | None = None,
+    colour_range: tuple[float, float] | None = None,
+    collar: int = 0,
+    part: RasterWindow | None = None,
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
     """Return (rgb (h, w, 3) uint8, valid (h, w) bool) of an orthophoto.
 
     `bands` are the numbers of red, green and blue, from 1, by default the declared ones. `colour_range` becomes 0 and
-    255 and is needed for other than 8 bits. A border within `collar` levels of black or white is empty.
+    255 and is needed for other than 8 bits. A border within `collar` levels of black or white is empty, but for that of
+    a RasterWindow in the file.
     """
-    with opened(path) as dataset:
+    with opened(path, part is not None) as dataset:
         names = [each.name for each in dataset.colorinterp]
         if dataset.count == 1 and names == ["palette"] and bands is None:
-            rgb, valid = _of_palette(path, dataset)
+            rgb, valid = _of_palette(dataset, part)
         else:
             chosen = list(bands or _declared(path, dataset, names))
             if len(chosen) != 3 or not all(1 <= band <= dataset.count for band in chosen):
@@ -34,15 +39,21 @@ def read_colour(
                     f"bands={','.join(map(str, chosen))} of {path} are not allowed; give the numbers of the red, green "
                     f"and blue band, 1…{dataset.count}"
                 )
-            values = dataset.read(chosen)
+            options = part.options(len(chosen)) if part else {}
+            values = dataset.read(chosen, **options)
             scales = [(dataset.scales[band - 1], dataset.offsets[band - 1]) for band in chosen]
-            valid = (dataset.read_masks(chosen) > 0).any(axis=0)
+            valid = (dataset.read_masks(chosen, **_nearest(options)) > 0).any(axis=0)
             if values.dtype.kind == "f":
                 valid &= np.isfinite(values).all(axis=0)
             if "alpha" in names:
-                valid &= _opaque(path, dataset, names)
+                valid &= _opaque(path, dataset, names, part)
             rgb = np.ascontiguousarray(np.moveaxis(_in_8_bits(path, values, scales, colour_range, valid), 0, -1))
-    return rgb, valid & ~empty_border(rgb, collar)
+    return rgb, valid if part and not part.whole else valid & ~empty_border(rgb, collar)
+
+
+def _nearest(options: dict[str, Any]) -> dict[str, Any]:
+    """Options of reading a RasterWindow without means: of masks and of palettes."""
+    return {name: value for name, value in options.items() if name != "resampling"}
 
 
 def _declared(path: Path, dataset: Any, names: list[str]) -> list[int]:
@@ -74,9 +85,9 @@ def _declared(path: Path, dataset: Any, names: list[str]) -> list[int]:
     return [each[0] for each in (by_colour if whole[0] else by_word)]
 
 
-def _opaque(path: Path, dataset: Any, names: list[str]) -> NDArray[np.bool_]:
+def _opaque(path: Path, dataset: Any, names: list[str], part: RasterWindow | None) -> NDArray[np.bool_]:
     """Where the band that is declared alpha is at least half opaque."""
-    alpha = dataset.read(names.index("alpha") + 1)
+    alpha = dataset.read(names.index("alpha") + 1, **_nearest(part.options() if part else {}))
     highest = np.iinfo(alpha.dtype).max if alpha.dtype.kind in "iu" else 1.0
     between = float(((alpha > 0.04 * highest) & (alpha < 0.96 * highest)).mean())
     if between > 0.5:
@@ -89,12 +100,13 @@ def _opaque(path: Path, dataset: Any, names: list[str]) -> NDArray[np.bool_]:
     return opaque
 
 
-def _of_palette(path: Path, dataset: Any) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    index = dataset.read(1)
+def _of_palette(dataset: Any, part: RasterWindow | None) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    options = _nearest(part.options() if part else {})
+    index = dataset.read(1, **options)
     table = np.zeros((int(np.iinfo(index.dtype).max) + 1, 4), np.uint8)
     for number, colour in dataset.colormap(1).items():
         table[number] = colour
-    return np.ascontiguousarray(table[index, :3]), (dataset.read_masks(1) > 0) & (table[index, 3] > 127)
+    return np.ascontiguousarray(table[index, :3]), (dataset.read_masks(1, **options) > 0) & (table[index, 3] > 127)
 
 
 def _in_8_bits(

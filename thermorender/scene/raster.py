@@ -62,9 +62,62 @@ class Grid:
         )
 
 
+@dataclass(frozen=True)
+class RasterWindow:
+    """A window of a raster, read at its own or at fewer pixels."""
+
+    window: tuple[tuple[int, int], tuple[int, int]]  # First and last row, and column, of the file
+    grid: Grid  # Of the pixels that are read
+    whole: bool  # Whether it is all of the file
+    thinned: bool
+
+    def options(self, bands: int | None = None) -> dict[str, Any]:
+        """Return what `read` of an open raster takes for one band, or for several `bands`; a mean where it is thinned,
+        for which the file's overviews serve."""
+        from rasterio.enums import Resampling
+
+        shape = (self.grid.height, self.grid.width)
+        return {
+            "window": self.window,
+            "out_shape": shape if bands is None else (bands, *shape),
+            "resampling": Resampling.average if self.thinned else Resampling.nearest,
+        }
+
+
+def window_of(path: Path, crs: Any, bounds: tuple[float, float, float, float], most: int) -> RasterWindow:
+    """Return the RasterWindow of a raster of any size within bounds on a map, with about `most` pixels or less."""
+    from rasterio import Affine
+
+    grid = grid_of(path, any_size=True)
+    there = bounds_in(grid.crs, Grid(crs, Affine(bounds[2] - bounds[0], 0.0, bounds[0], 0.0, bounds[1] - bounds[3],
+                                                 bounds[3]), 1, 1, grid.name))  # fmt: skip
+    x, y = np.array([there[0], there[2], there[0], there[2]]), np.array([there[1], there[1], there[3], there[3]])
+    column, row = grid.to_pixel(x, y)
+    # A pixel more on each side, for interpolation.
+    ends = [(int(np.clip(np.floor(each.min()) - 1, 0, size)), int(np.clip(np.ceil(each.max()) + 1, 0, size)))
+            for each, size in ((row, grid.height), (column, grid.width))]  # fmt: skip
+    sides = [last - first for first, last in ends]
+    if min(sides) < 1:
+        raise ThermorenderError(
+            f"{path} covers {describe(grid.bounds)} and does not reach {describe(there)}; give a raster of that area"
+        )
+    step = max(1.0, float(np.sqrt(sides[0] * sides[1] / most)))
+    height, width = (max(1, int(np.ceil(side / step))) for side in sides)
+    corner = grid.transform @ Affine.translation(ends[1][0], ends[0][0])
+    transform = corner @ Affine.scale(sides[1] / width, sides[0] / height)
+    whole = tuple(sides) == (grid.height, grid.width)
+    return RasterWindow((ends[0], ends[1]), Grid(grid.crs, transform, height, width, grid.name), whole, step > 1.0)
+
+
+def describe(bounds: tuple[float, ...]) -> str:
+    """Return bounds (left, bottom, right, top) in words."""
+    return f"x {bounds[0]:.9g}…{bounds[2]:.9g}, y {bounds[1]:.9g}…{bounds[3]:.9g}"
+
+
 @contextmanager
-def opened(path: Path | str) -> Iterator[Any]:
-    """Open a raster for reading; a file that is unreadable or too large raises an error that names it."""
+def opened(path: Path | str, any_size: bool = False) -> Iterator[Any]:
+    """Open a raster for reading; a file that is unreadable or too large raises an error that names it. Parts of a file
+    of `any_size` are read."""
     import warnings
 
     import rasterio
@@ -83,12 +136,12 @@ def opened(path: Path | str) -> Iterator[Any]:
                 warnings.simplefilter("ignore", NotGeoreferencedWarning)
                 dataset = rasterio.open(path, driver=driver)
             with dataset:
-                if dataset.width * dataset.height > MOST_TEXELS:
+                if not any_size and dataset.width * dataset.height > MOST_TEXELS:
                     raise ThermorenderError(
                         f"{path} has {dataset.width}×{dataset.height} pixels; a raster may have up to {MOST_TEXELS}, "
                         "so cut or thin it, for example with `rio warp`"
                     )
-                if driver is not None:
+                if driver is not None and not any_size:
                     _check_size(path, dataset)
                 if len(dataset.subdatasets) > 1 or (dataset.subdatasets and dataset.count):
                     raise ThermorenderError(
@@ -135,9 +188,9 @@ def files_of(path: Path) -> list[str]:
         return list(dataset.files)
 
 
-def grid_of(path: Path) -> Grid:
+def grid_of(path: Path, any_size: bool = False) -> Grid:
     """Return the Grid of a raster file."""
-    with opened(path) as dataset:
+    with opened(path, any_size) as dataset:
         if dataset.crs is None:
             raise ThermorenderError(
                 f"{path} has no coordinate reference system (CRS); assign one, "
@@ -215,14 +268,15 @@ def _crs_free(error: Exception) -> str:
     return str(error).partition(" from '{")[0]
 
 
-def read_band(path: Path, missing: Sequence[float] = ()) -> NDArray[np.float64]:
-    """Return one band as float64, (h, w), scale and offset applied; NaN for no data and for raw values in `missing`."""
-    with opened(path) as dataset:
+def read_band(path: Path, missing: Sequence[float] = (), part: RasterWindow | None = None) -> NDArray[np.float64]:
+    """Return one band, or a RasterWindow of it, as float64, (h, w), scale and offset applied; NaN for no data and for
+    raw values in `missing`."""
+    with opened(path, part is not None) as dataset:
         if dataset.count != 1:
             raise ThermorenderError(f"{path} has {dataset.count} bands where one is expected; extract the one to use")
         if np.dtype(dataset.dtypes[0]).kind == "c":
             raise ThermorenderError(f"{path} holds complex numbers; give a raster of integers or real numbers")
-        values = dataset.read(1, masked=True)
+        values = dataset.read(1, masked=True, **(part.options() if part else {}))
         scale, offset = dataset.scales[0], dataset.offsets[0]
     filled: NDArray[np.float64] = np.ma.filled(values.astype(np.float64), np.nan)
     if missing:

@@ -93,6 +93,7 @@ def shape_of(files: SceneFiles, placements: Sequence[Placement], held: Held, whe
     for number, surface in enumerate(near):
         if surface.far:
             near[number] = stitched(surface, near[:number])
+            near[:number] = [stitched(each, [near[number]]) for each in near[:number]]
     return Shape(
         frame=files.frame,
         ground=tuple(near),

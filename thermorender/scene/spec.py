@@ -543,13 +543,17 @@ class SceneSpec:
             )
         if self.emissivity.source == "classes" and not (self.terrain.mesh or self.emissivity.raster):
             raise where.error("emissivity.raster is missing; source='classes' needs it")
-        for name, items in (("surface", self.surfaces), ("terrain.far", self.terrain.far)):
-            if any(one.classes for one in items) and not self.emissivity.classes:
-                raise where.error(f"{name}.classes needs the materials of its numbers; add [emissivity.classes]")
         if any(one.classes for one in self.terrain.far) and self.emissivity.source not in ("classes", "learned"):
             raise where.error(
                 f"terrain.far.classes is given, and emissivity.source={self.emissivity.source!r} gives all ground one "
                 "material; leave it out, or give emissivity.source='classes'"
+            )
+        for name, items in (("surface", self.surfaces), ("terrain.far", self.terrain.far)):
+            if any(one.classes for one in items) and not self.emissivity.classes:
+                raise where.error(f"{name}.classes needs the materials of its numbers; add [emissivity.classes]")
+        if self.temperature.source == "balance" and any(one.temperature is not None for one in self.terrain.far):
+            raise where.error(
+                "terrain.far.temperature is given, and temperature.source='balance' solves far ground too; leave it out"
             )
         if self.terrain.far and self.terrain.mesh and self.frame is None:
             raise where.error(

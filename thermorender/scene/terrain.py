@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.georeference import definition
-from thermorender.scene.raster import Grid, grid_of, lon_lat, opened, read_band
+from thermorender.scene.raster import Grid, RasterWindow, grid_of, lon_lat, opened, read_band
 
 # Metres in a unit of height, by the names in use; a raster of a map in metres is in metres if it names no unit.
 METRES = (
@@ -23,13 +23,13 @@ _PLACEHOLDERS = (-9999.0, -32767.0, -32768.0, 32767.0, 65535.0)
 _DOUBTFUL_M = 20.0
 
 
-def read_elevation(path: Path) -> tuple[NDArray[np.float64], Grid]:
-    """Return (heights (h, w) float64 [m] with NaN where missing, Grid) of an elevation raster."""
-    grid = grid_of(path)
+def read_elevation(path: Path, part: RasterWindow | None = None) -> tuple[NDArray[np.float64], Grid]:
+    """Return (heights (h, w) float64 [m] with NaN where missing, Grid) of an elevation raster, or its window."""
+    grid = part.grid if part else grid_of(path)
     left, bottom, right, top = grid.bounds
     lon_lat(grid, np.array([left, right]), np.array([bottom, top]))
     factor = _metres(path)
-    height = factor * read_band(path, _PLACEHOLDERS)
+    height = factor * read_band(path, _PLACEHOLDERS, part)
     # ±3.4e38 and others.
     height[~(np.abs(height) < 9000.0)] = np.nan
     if min(height.shape) < 2:
@@ -46,7 +46,7 @@ def doubtful_zeros(path: Path, height: NDArray[np.floating]) -> tuple[str, ...]:
 
     Such zeros are gaps in some files and sea level in others.
     """
-    with opened(path) as dataset:
+    with opened(path, any_size=True) as dataset:
         declared = dataset.nodata is not None
     zero = height == 0.0
     others = height[np.isfinite(height) & ~zero]
@@ -60,7 +60,7 @@ def doubtful_zeros(path: Path, height: NDArray[np.floating]) -> tuple[str, ...]:
 
 def _metres(path: Path) -> float:
     """Metres in the unit of a raster's heights, by its band and its vertical CRS."""
-    with opened(path) as dataset:
+    with opened(path, any_size=True) as dataset:
         unit = (dataset.units[0] if dataset.count else None) or ""
         declare = "declare the right unit with `rio edit-info --bidx 1 --units m FILE` (or ft, or us-ft)"
         return metres_of_heights(path, dataset.crs, unit, declare)

@@ -228,6 +228,13 @@ def _refuse_inputs(
             f"{where}: temperature.model={spec.model!r} takes relief or hour as input and needs a terrain with an "
             "elevation raster, and this one is a mesh; take a map that sees colour only"
         )
+    bare = [surface.name for number, surface in enumerate(shape.ground) if surface.far
+            and (drape := shape.drape(number)) is not None and drape.colour is None]  # fmt: skip
+    if follows == "conditional" and bare:
+        raise ThermorenderError(
+            f"{where}: temperature.model={spec.model!r} reads colours, and {bare[0]} ground has no orthophoto; give "
+            "terrain.far.orthophoto, or take another source"
+        )
     for one in parts:
         if one.temperature is not None:
             raise ThermorenderError(

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.apps.lands.import_rasters import (
-    Bounds,
     Picture,
     has_vertical_datum,
     heights_on_map,
+    read_heights,
     read_picture,
     step_m,
     write_raster,
@@ -20,11 +20,13 @@ from thermorender.apps.lands.import_rasters import (
 from thermorender.apps.lands.import_settings import ImportSettings
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import FARTHEST_M
-from thermorender.scene.raster import Grid, bounds_in, onto
-from thermorender.scene.terrain import doubtful_zeros, read_elevation
+from thermorender.scene.raster import Grid, onto
+from thermorender.scene.terrain import doubtful_zeros
 
 # Posts of a far ground, and texels along a side of its picture, at most.
 _MOST_POSTS, _MOST_TEXELS = 250_000, 2048
+# Half side of a far ground: its corners are as far away as positions may be [m].
+_REACH_M = 0.7 * FARTHEST_M
 # Heights of two surveys differ by less than this in the median where they have the same zero: a geoid is up to 100 m
 # from the ellipsoid, and a surface model of 30 m posts a few metres above bare ground [m].
 _SAME_ZERO_M = 8.0
@@ -64,33 +66,29 @@ def read_far(
     middle = np.array(posts.bounds).reshape(2, 2).mean(axis=0)
     for text in given:
         elevation, _, orthophoto = text.partition(",")
-        own, grid = read_elevation(Path(elevation))
+        left, bottom, right, top = np.concatenate([middle - _REACH_M, middle + _REACH_M]).tolist()
+        own, grid, bounds = read_heights(Path(elevation), posts.crs, (left, bottom, right, top), _MOST_POSTS)
         notes += doubtful_zeros(Path(elevation), own)
-        bounds = _within(bounds_in(posts.crs, grid), middle, elevation)
         picture = None
         if orthophoto:
             plain = replace(settings, bands=None, colour_range=None, collar=0, max_texels=_MOST_TEXELS)
-            picture, bounds = read_picture(Path(orthophoto), plain, Path(elevation), posts.crs, bounds)
+            picture, bounds = read_picture(
+                Path(orthophoto), plain, Path(elevation), posts.crs, bounds, whole=False
+            )  # fmt: skip
         inner = found[-1].posts if found else posts
         across, along = bounds[2] - bounds[0], bounds[3] - bounds[1]
         most = min(_MOST_POSTS, max(4, int(across * along / step_m(posts.crs, inner) ** 2)))
         own, grid_own = heights_on_map(own, grid, posts.crs, bounds, most, square=False)
         if not np.isfinite(own).any():
             raise ThermorenderError(f"{elevation} has no valid height around the scene; give another DEM")
-        stated = "geoid" if has_vertical_datum(grid.crs) and reference != "geoid" else None
+        other = has_vertical_datum(grid.crs) and reference != "geoid"
+        stated = "geoid" if other and settings.geoid_undulation_m is not None else None
+        if other and stated is None:
+            notes.append(f"{Path(elevation).name} counts heights from a vertical datum, and is taken to count from the "
+                         "same zero as the scene; --geoid-undulation-m states the difference")  # fmt: skip
         notes += _other_zero(elevation, height, posts, own, grid_own)
         found.append(FarGround(own, grid_own, picture, stated))
     return found, tuple(notes)
-
-
-def _within(bounds: Bounds, middle: NDArray[np.float64], name: str) -> Bounds:
-    """Bounds on the map as far from the scene as positions may be."""
-    # The corners of a square are farther than its sides.
-    low, high = middle - 0.7 * FARTHEST_M, middle + 0.7 * FARTHEST_M
-    left, bottom, right, top = (*np.maximum(bounds[:2], low), *np.minimum(bounds[2:], high))
-    if not (left < right and bottom < top):
-        raise ThermorenderError(f"{name} does not reach the scene; give a DEM that surrounds it")
-    return float(left), float(bottom), float(right), float(top)
 
 
 def _other_zero(

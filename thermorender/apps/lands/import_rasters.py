@@ -10,10 +10,14 @@ from thermorender import formats
 from thermorender.apps.lands.import_settings import ImportSettings
 from thermorender.errors import ThermorenderError
 from thermorender.numbers import parse_numbers
+from thermorender.physics.geodesy import FARTHEST_M
 from thermorender.scene.orthophoto import read_colour
-from thermorender.scene.raster import Grid, bounds_in, grid_of, lon_lat, onto
+from thermorender.scene.raster import Grid, bounds_in, describe, grid_of, lon_lat, onto, window_of
+from thermorender.scene.terrain import read_elevation
 
 Bounds = tuple[float, float, float, float]
+# A part of a file is read at up to this many times the posts or texels that are kept, of which means are taken.
+_OVERSAMPLED = 4
 
 
 class Picture(NamedTuple):
@@ -36,20 +40,54 @@ def heights_on_map(
     return onto(height, grid, target, "average" if step_m(crs, target) > 1.5 * post else "bilinear"), target
 
 
+def square_around(text: str, crs: Any) -> Bounds:
+    """Return the bounds on a map of a square of "LATITUDE,LONGITUDE,SIDE", in degrees and metres."""
+    from rasterio.crs import CRS
+    from rasterio.warp import transform
+
+    latitude, longitude, side = parse_numbers("around", text, ("LATITUDE", "LONGITUDE", "SIDE"))
+    if not (abs(latitude) <= 90.0 and abs(longitude) <= 360.0 and 0.0 < side <= FARTHEST_M):
+        raise ThermorenderError(
+            f"around={text!r} is not allowed; give a latitude of −90…90°, a longitude and the side in metres, up to "
+            f"{FARTHEST_M:.0f}"
+        )
+    (x,), (y,) = transform(CRS.from_epsg(4326), crs, [longitude], [latitude])
+    if not np.isfinite([x, y]).all():
+        raise ThermorenderError(f"around={text!r} is not on the map of the elevation; give a place on it")
+    return x - 0.5 * side, y - 0.5 * side, x + 0.5 * side, y + 0.5 * side
+
+
+def read_heights(path: Path, crs: Any, bounds: Bounds, most: int) -> tuple[NDArray[np.float64], Grid, Bounds]:
+    """Return (heights (h, w) [m], their Grid, their bounds on a map) of the part of a raster of any size within bounds,
+    thinned to a few times `most` posts."""
+    part = window_of(path, crs, bounds, _OVERSAMPLED * most)
+    height, grid = read_elevation(path, part)
+    return height, grid, shared(bounds, bounds_in(crs, grid))
+
+
 def read_picture(
-    orthophoto: Path, settings: ImportSettings, elevation: Path, crs: Any, bounds: Bounds
+    orthophoto: Path, settings: ImportSettings, elevation: Path, crs: Any, bounds: Bounds, whole: bool = True
 ) -> tuple[Picture, Bounds]:
-    """Return (orthophoto on a map's grid, bounds shared with the elevation)."""
+    """Return (orthophoto on a map's grid, bounds shared with the elevation); of the file is read what is within them,
+    or the `whole`, whose border may be empty."""
     bands, ends = settings.bands, settings.colour_range
     chosen = [int(number) for number in parse_numbers("bands", bands, ("RED", "GREEN", "BLUE"))] if bands else None
     scale = None
     if ends:
         black, white = parse_numbers("colour_range", ends, ("BLACK", "WHITE"))
         scale = black, white
-    (rgb, valid), grid = read_colour(orthophoto, chosen, scale, settings.collar), grid_of(orthophoto)
+    part = None if whole else window_of(orthophoto, crs, bounds, _OVERSAMPLED * settings.max_texels**2)
+    rgb, valid = read_colour(orthophoto, chosen, scale, settings.collar, part)
+    grid = part.grid if part else grid_of(orthophoto)
     if not valid.any():
         raise ThermorenderError(f"{orthophoto} is empty: every pixel is masked or border; give another orthophoto")
-    bounds = _shared(bounds, bounds_in(crs, grid), elevation, orthophoto)
+    own = bounds_in(crs, grid)
+    if not all(np.diff(np.array(shared(bounds, own)).reshape(2, 2), axis=0)[0] > 0.0):
+        raise ThermorenderError(
+            f"{elevation} ({describe(bounds)}) and {orthophoto} ({describe(own)}) do not overlap; give rasters of the "
+            "same area"
+        )
+    bounds = shared(bounds, own)
     picture = Picture(*_colours(rgb, valid, grid, crs, bounds, settings.max_texels))
     if not picture.valid.any():
         raise ThermorenderError(f"{orthophoto} is empty where {elevation} is; give an orthophoto of the same area")
@@ -97,14 +135,9 @@ def middle(grid: Grid) -> tuple[float, float]:
     return float(latitude), float(longitude)
 
 
-def _shared(a: Bounds, b: Bounds, elevation: Path, orthophoto: Path) -> Bounds:
-    bounds = max(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), min(a[3], b[3])
-    if not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
-        raise ThermorenderError(
-            f"{elevation} (x {a[0]:.0f}…{a[2]:.0f}, y {a[1]:.0f}…{a[3]:.0f}) and {orthophoto} "
-            f"(x {b[0]:.0f}…{b[2]:.0f}, y {b[1]:.0f}…{b[3]:.0f}) do not overlap; give rasters of the same area"
-        )
-    return bounds
+def shared(a: Bounds, b: Bounds) -> Bounds:
+    """Return the bounds of what two areas share; without an overlap they are in the wrong order."""
+    return max(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), min(a[3], b[3])
 
 
 def step_m(crs: Any, grid: Grid) -> float:

@@ -46,6 +46,10 @@ class ImportSettings:
         Path | None, typer.Option(help="GeoJSON of OpenStreetMap shapes that restrict the materials inside them; with "
                                   "--three-d the outlines of buildings.")
     ] = None  # fmt: skip
+    around: Annotated[
+        str | None, typer.Option(help="LATITUDE,LONGITUDE,SIDE: only a square of the files [°, m], which may have any "
+                                 "size.")
+    ] = None  # fmt: skip
     far: Annotated[
         list[str] | None, typer.Option(help="DEM.tif or DEM.tif,ORTHO.tif of a wider area, for coarser ground around "
                                        "the scene; may be repeated, from the inner to the outer one.")

@@ -22,7 +22,9 @@ from thermorender.apps.lands.import_rasters import (
     heights_on_map,
     map_crs,
     middle,
+    read_heights,
     read_picture,
+    square_around,
     step_m,
     write_raster,
 )
@@ -35,10 +37,11 @@ from thermorender.errors import ThermorenderError
 from thermorender.files import atomic_folder, check_new_folder
 from thermorender.formats import write_json, write_text
 from thermorender.materials.extended import within_band
+from thermorender.scene.folder import read_files
 from thermorender.scene.mapped_cover import read_mapped_cover
 from thermorender.scene.orthophoto import COLLAR, empty_border
-from thermorender.scene.raster import Grid, bounds_in
-from thermorender.scene.spec import WeatherSpec
+from thermorender.scene.raster import Grid, bounds_in, grid_of
+from thermorender.scene.spec import WeatherSpec, read_scene
 from thermorender.scene.surface import scene_kelvin
 from thermorender.scene.terrain import doubtful_zeros, filled, read_elevation
 from thermorender.schema import toml_text
@@ -71,20 +74,23 @@ def import_terrain(
     """
     _check(settings, orthophoto, three_d)
     check_new_folder(folder)
-    cloud, height, height_grid, notes = _read_heights(elevation)
+    cloud, height, height_grid, notes, square = _read_heights(elevation, settings)
     stated = settings.height_reference is not None or has_vertical_datum(height_grid.crs)
     reference = settings.height_reference or ("geoid" if stated else "ellipsoid")
     day = _weather(settings.weather, settings.time, height, height_grid)
     crs = map_crs(height_grid)
-    bounds = bounds_in(crs, height_grid)
+    bounds = square or bounds_in(crs, height_grid)
     picture = None
     if orthophoto is not None:
-        picture, bounds = read_picture(orthophoto, settings, elevation, crs, bounds)
+        picture, bounds = read_picture(orthophoto, settings, elevation, crs, bounds, whole=square is None)
     height, posts = heights_on_map(height, height_grid, crs, bounds, settings.max_vertices, square=three_d is not None)
     if not np.isfinite(height).any():
         raise ThermorenderError(f"{elevation} has no valid height where {orthophoto} is; give a DEM of the same area")
     far, more = read_far(settings.far or (), height, posts, reference, settings)
     notes = (*notes, *more)
+    if far and picture is not None and (day is not None or settings.known is not None):
+        coarse = f"far ground has the material {settings.material} where its texels are too coarse for a learned map"
+        notes = (*notes, f"{coarse}; classes in [[terrain.far]] give it others")
     texels = picture.grid if picture else posts
     post_m, texel_m = step_m(crs, posts), step_m(crs, texels)
     solid, known, cover = None, settings.known, None
@@ -131,6 +137,8 @@ def import_terrain(
         made_from = " and ".join(Path(path).name for path in (elevation, orthophoto) if path is not None)
         write_text(part / "scene.toml", toml_text(tables, f"Made from {made_from}."))
         write_text(part / "flight.csv", flight)
+        if far:
+            _try_far(part, Path(folder))
     return {
         "crs": crs.to_string(),
         "posts": [posts.height, posts.width],
@@ -158,13 +166,21 @@ def _with_far(
     found = []
     for number, own in enumerate(far, 1):
         table = own.write(part, number)
-        if "mesh" in terrain:
+        if "mesh" in terrain and settings.geoid_undulation_m is not None:
             table["height_reference"] = own.reference or reference
         # A learned map without a weather reads colours.
         found.append(table | {"temperature": GROUND_K if placeholder and not own.picture else None})
     if "mesh" in terrain and reference == "geoid":
         terrain = terrain | {"geoid_undulation_m": settings.geoid_undulation_m}
     return terrain | {"far": found}
+
+
+def _try_far(part: Path, folder: Path) -> None:
+    """Read a scene with far ground once: only then is known whether its grounds lie around one another."""
+    try:
+        read_files(read_scene(part), str(part / "scene.toml"))
+    except ThermorenderError as error:
+        raise ThermorenderError(str(error).replace(f"{part}/", "").replace(str(part), str(folder))) from None
 
 
 def _check(settings: ImportSettings, orthophoto: Path | None, three_d: ThreeD | None) -> None:
@@ -196,13 +212,26 @@ def _check(settings: ImportSettings, orthophoto: Path | None, three_d: ThreeD | 
         )
 
 
-def _read_heights(path: Path) -> tuple[Cloud | None, NDArray[Any], Grid, tuple[str, ...]]:
-    """(Point cloud or None, its or a raster's heights (h, w) [m], their Grid, sentences on doubtful ones)."""
+def _read_heights(
+    path: Path, settings: ImportSettings
+) -> tuple[Cloud | None, NDArray[Any], Grid, tuple[str, ...], Bounds | None]:
+    """(Point cloud or None, its or a raster's heights (h, w) [m], their Grid, sentences on doubtful ones, bounds of the
+    square that is read or None)."""
+    bounds = None
     if Path(path).suffix.lower() in SUFFIXES:
+        if settings.around is not None:
+            raise ThermorenderError(
+                f"around={settings.around} cuts rasters, and {path} is a point cloud; cut it, for example with "
+                "`pdal translate`, or leave around out"
+            )
         cloud = read_cloud(path)
-        return cloud, cloud.surface, cloud.grid, tuple(cloud.notes)
-    height, grid = read_elevation(path)
-    return None, height, grid, tuple(doubtful_zeros(path, height))
+        return cloud, cloud.surface, cloud.grid, tuple(cloud.notes), None
+    if settings.around is None:
+        height, grid = read_elevation(path)
+    else:
+        crs = map_crs(grid_of(path, any_size=True))
+        height, grid, bounds = read_heights(path, crs, square_around(settings.around, crs), settings.max_vertices)
+    return None, height, grid, tuple(doubtful_zeros(path, height)), bounds
 
 
 def _weather(path: Path | None, time: str | None, height: NDArray[np.float64], grid: Grid) -> dict[str, Any] | None:
