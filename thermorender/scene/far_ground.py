@@ -5,7 +5,7 @@ bent ones meet that of radius R (`atmosphere.rays`). Far ground is thus raised b
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.georeference import Place
 from thermorender.scene.ground import Ground
 from thermorender.scene.raster import Grid, lon_lat
+from thermorender.scene.seam import with_sides
 from thermorender.scene.surface import MOST_OPEN, Surface, fill, nearest_valid
 from thermorender.scene.textures import separate
 
@@ -27,10 +28,6 @@ _CLOSER = 0.75
 # Points between rim and posts of far ground are up to this many times their spacing from the rim; posts of the rim
 # whose heights such a point follows.
 _FARTHEST, _FARTHEST_STEPS, _AVERAGED = 2.5, 4, 64
-# Times that sides of a rim are halved until all are edges of the triangulation.
-_HALVINGS = 12
-# Edges among which the one that a point lies on is sought, and its largest distance from it per length.
-_NEAREST, _ON_EDGE = 8, 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +128,7 @@ def far_mesh(
     outer = np.stack([column, row], axis=-1).reshape(-1, 2)[index].astype(np.float64)
     added, places = _between(posts.reshape(rows, columns, 3), rim, at, outer, hole, inside)
     points, positions = np.concatenate([at, outer, added]), np.concatenate([rim, posts[index], places])
-    joined, ends = _with_sides(points, sides)
+    joined, ends = with_sides(points, sides)
     for one, other in ends:
         points = np.concatenate([points, 0.5 * (points[[one]] + points[[other]])])
         positions = np.concatenate([positions, 0.5 * (positions[[one]] + positions[[other]])])
@@ -195,30 +192,6 @@ def _hole(at: _Floats, posts: _Floats, inside: GroundPlan) -> tuple[NDArray[np.b
     hidden[part] = inside.covers(some.reshape(-1, 3)).reshape(some.shape[:2])
     clear = ~_any_cell(blocked | _any_corner(hidden))
     return clear, _any_corner(~clear)
-
-
-def _with_sides(
-    points: _Floats, sides: NDArray[np.integer]
-) -> tuple[NDArray[np.integer], list[tuple[int, int]]]:  # fmt: skip
-    """(Delaunay triangles (t, 3) of points (n, 2) that have all `sides` (m, 2) among their edges; the two ends of each
-    point that is added in the middle of a side for that)."""
-    from scipy.spatial import Delaunay
-
-    ends = list[tuple[int, int]]()
-    triangles: NDArray[np.integer] = np.zeros((0, 3), np.int64)
-    for _ in range(_HALVINGS):
-        triangles = Delaunay(points).simplices if len(points) > 3 else triangles
-        edge = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-        keys = [np.sort(each, axis=1).astype(np.int64) @ (len(points), 1) for each in (edge, sides)]
-        missing = ~np.isin(keys[1], keys[0])
-        if not missing.any():
-            break
-        new = len(points) + np.arange(int(missing.sum()))
-        ends += [(int(a), int(b)) for a, b in sides[missing]]
-        points = np.concatenate([points, points[sides[missing]].mean(axis=1)])
-        halves = [np.stack([sides[missing][:, k], new], axis=-1) for k in (0, 1)]
-        sides = np.concatenate([sides[~missing], *halves])
-    return triangles, ends
 
 
 def _between(
@@ -294,69 +267,3 @@ def refuse_finer(grid: Grid, spacing_m: float, inside: GroundPlan) -> None:
             f"{grid.name} has posts {spacing_m:.3g} m apart, and the ground inside of it {finest:.3g} m; give the "
             "finer raster as the scene's ground, or thin this one, for example with `rio warp --res`"
         )
-
-
-def stitched(far: Surface, inside: Sequence[Surface]) -> Surface:
-    """Return far ground whose edges at ground `inside` are cut where finer triangles have cut them there."""
-    from scipy.spatial import KDTree
-
-    known = {tuple(place) for place in far.vertices[np.unique(_border(far.faces))].tolist()}
-    borders = [surface.vertices[np.unique(_border(surface.faces))] for surface in inside]
-    new = np.array([place for border in borders for place in border.tolist() if tuple(place) not in known])
-    # A face with two such edges is cut twice.
-    while len(new):
-        side = _border(far.faces)
-        start, end = far.vertices[side[:, 0]], far.vertices[side[:, 1]]
-        _, near = KDTree(0.5 * (start + end)).query(new, k=np.arange(1, min(_NEAREST, len(side)) + 1))
-        along, length = end - start, np.linalg.norm(end - start, axis=1)
-        part = np.einsum("nkc,nkc->nk", new[:, None] - start[near], along[near]) / np.square(length)[near]
-        away = np.linalg.norm(new[:, None] - start[near] - part[..., None] * along[near], axis=-1)
-        away = np.where((part > 0.0) & (part < 1.0), away, np.inf)
-        best = away.argmin(axis=1)
-        rows = np.arange(len(new))
-        on = away[rows, best] < _ON_EDGE * (1.0 + length[near[rows, best]])
-        edge, part, new = near[rows, best][on], part[rows, best][on], new[on]
-        far, done = _cut(far, side, edge, part, new)
-        new = new[~done]
-    return far
-
-
-def _border(faces: NDArray[np.integer]) -> NDArray[np.integer]:
-    """The edges of a single face, (n, 2) numbers of vertices in the order of their face."""
-    edge = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    _, first, count = np.unique(np.sort(edge, axis=1), axis=0, return_index=True, return_counts=True)
-    return edge[first[count == 1]]
-
-
-def _cut(
-    far: Surface, side: NDArray[np.integer], edge: NDArray[np.integer], part: _Floats, new: _Floats
-) -> tuple[Surface, NDArray[np.bool_]]:
-    """(Far ground with triangles cut at points `new` (n, 3), at parts of edges `side[edge]`; which points it has now).
-    One edge of a triangle is cut."""
-    faces, uv = list[NDArray[np.integer]](), list[NDArray[np.float32]]()
-    number = {(int(a), int(b)): k for k, (a, b) in enumerate(side)}
-    points = dict[int, list[int]]()
-    for n in np.lexsort((part, edge)).tolist():
-        points.setdefault(int(edge[n]), []).append(n)
-    whole, done = np.ones(len(far.faces), bool), np.zeros(len(new), bool)
-    at_border = np.flatnonzero(np.isin(far.faces, np.unique(side)).sum(axis=1) > 1)
-    for face in at_border.tolist():
-        for k in range(3):
-            a, b, c = (int(far.faces[face, (k + j) % 3]) for j in range(3))
-            own = points.get(number.get((a, b), -1))
-            if own is None:
-                continue
-            u, v, w = (far.uv[face, (k + j) % 3] for j in range(3))
-            between = [u + np.float32(part[n]) * (v - u) for n in own]
-            chain, place = [a, *(len(far.vertices) + n for n in own), b], [u, *between, v]
-            faces += [np.array([p, q, c]) for p, q in zip(chain[:-1], chain[1:], strict=True)]
-            uv += [np.array([p, q, w]) for p, q in zip(place[:-1], place[1:], strict=True)]
-            whole[face], done[own] = False, True
-            break
-    if not done.any():
-        return far, np.ones(len(new), bool)
-    return replace(
-        far, vertices=np.concatenate([far.vertices, new]),
-        faces=np.concatenate([far.faces[whole], np.array(faces)]).astype(far.faces.dtype),
-        uv=np.concatenate([far.uv[whole], np.array(uv)]).astype(np.float32),
-    ), done  # fmt: skip

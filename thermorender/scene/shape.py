@@ -10,11 +10,11 @@ from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene import crowns, instances
 from thermorender.scene.drape import Drape
-from thermorender.scene.far_ground import stitched
 from thermorender.scene.folder import SceneFiles
 from thermorender.scene.ground import Ground
 from thermorender.scene.raster import Grid
 from thermorender.scene.refine import TRACKED_SHARE, evened, refined
+from thermorender.scene.seam import stitched
 from thermorender.scene.surface import Surface
 from thermorender.scene.textures import Texture, with_texel_per_face
 from thermorender.scene.tracks import TrackedObject
