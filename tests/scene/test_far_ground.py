@@ -201,6 +201,14 @@ def test_coarse_texels_have_the_shares_of_classes_of_a_finer_raster(tmp_path):
     number, mixed = mixed_classes_on(tmp_path / "fine.tif", names, coarse, "scene.toml")
     assert number[0, 0] == 0 and number[0, 1] > 0
     assert mixed[number[4, 0] - 1] == {1: 1.0} and mixed[number[4, 7] - 1] == {2: 0.5, 3: 0.5}
+    # Many mixtures are joined, and the ground keeps its shares of classes.
+    many = np.random.default_rng(6).integers(1, 10, (64, 64)).astype(np.uint8)
+    write_raster(tmp_path / "many.tif", many[None], 10.0)
+    two = Grid(own.crs, own.transform @ own.transform.scale(2.0), 32, 32)
+    number, mixed = mixed_classes_on(tmp_path / "many.tif", dict.fromkeys(range(1, 10), "asphalt"), two, "scene.toml")
+    assert 40 < len(mixed) <= 48 and all(sum(each.values()) == pytest.approx(1.0) for each in mixed)
+    found = [np.mean([mixed[k - 1].get(one, 0.0) for k in number.ravel()]) for one in range(1, 10)]
+    np.testing.assert_allclose(found, np.bincount(many.ravel(), minlength=10)[1:] / many.size, atol=0.01)
     same, none = mixed_classes_on(tmp_path / "fine.tif", names, own, "scene.toml")
     assert none == () and np.array_equal(same, fine)
 

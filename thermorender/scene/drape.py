@@ -12,6 +12,8 @@ from thermorender.scene.raster import Grid, bounds_in, describe, grid_of, onto, 
 
 # Mixtures of classes of a coarse ground at most; shares of classes are rounded to such parts.
 _MOST_MIXED, _PARTS = 48, 8
+# Smaller shares of a class in a mixture are left out.
+_LEAST = 1.0 / 32.0
 # Texels along a side from which a coarse ground has shares of classes in place of the classes of a finer raster.
 _MOST_SIDE = 1024
 # Pixels of classes for each texel from which its shares count.
@@ -111,14 +113,16 @@ def mixed_classes_on(
     known = share.sum(axis=-1) > 0.5 / _PARTS
     share[known] /= share[known].sum(axis=-1, keepdims=True)
     eighths, of = np.unique(_in_parts(share[known]), axis=0, return_inverse=True)
-    chosen = _representative(eighths, np.bincount(of.ravel()))
-    away = np.square(eighths[:, None].astype(np.float32) - eighths[chosen]).sum(axis=-1)
+    count = np.bincount(of.ravel())
+    chosen = _representative(eighths, count)
+    nearest = np.square(eighths[:, None].astype(np.float32) - eighths[chosen]).sum(axis=-1).argmin(axis=1)
     number = np.zeros(known.shape, np.uint8)
-    number[known] = 1 + away.argmin(axis=1)[of.ravel()]
-    mixed = tuple(
-        {int(one): float(part) / _PARTS for one, part in zip(present, row, strict=True) if part}
-        for row in eighths[chosen]
-    )
+    number[known] = 1 + nearest[of.ravel()]
+    # A mixture has the mean shares of the texels that it stands for, so that those of the ground stay as they are.
+    mean = np.stack([np.bincount(nearest, count * part, len(chosen)) for part in eighths.T], axis=-1).astype(np.float64)
+    mean[mean < _LEAST * mean.sum(axis=1, keepdims=True)] = 0.0
+    mean = mean / mean.sum(axis=1, keepdims=True)
+    mixed = tuple({int(one): float(part) for one, part in zip(present, row, strict=True) if part} for row in mean)
     return number, mixed
 
 
