@@ -15,8 +15,9 @@ from thermorender.materials.library import load_library
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.drape import mixed_classes_on
 from thermorender.scene.open_ground import broadband
-from thermorender.scene.raster import Grid, grid_of
+from thermorender.scene.raster import Grid, grid_of, window_of
 from thermorender.scene.surface import UNKNOWN
+from thermorender.scene.terrain import read_elevation
 
 # Middle of the terrain of `write_terrain` on its map.
 MIDDLE = np.array([500008.0, 5779992.0])
@@ -187,6 +188,29 @@ def test_offsets_of_points_grow_with_their_distance_on_far_ground_only(tmp_path)
     np.testing.assert_allclose(numpy, jit, rtol=1e-6)
     assert numpy[0] == np.float32(geometry.hair) < 1e-4
     assert numpy[1] == pytest.approx(64 * 2.0**-24 * 20001.0, rel=1e-5)
+
+
+def test_heights_on_far_ground_are_those_above_the_ellipsoid(tmp_path):
+    """The air, the sky and the lapse of 6.5 K/km take them; the ground is at 0 m everywhere."""
+    scene = far_scene(tmp_path, 0.0, step=1000.0, posts=81)
+    far = scene.surfaces[1]
+    geometry = tr.Renderer(scene).baked.geometry
+    for found in (far.heights_m(), geometry.heights_m(far.vertices)):
+        # The ellipsoid's radii differ from the Earth's mean by up to 0.5 %: 1.3 m at 57 km, 8 mK of the air there.
+        assert np.abs(found).max() * 6.5e-3 < 0.01
+    assert geometry.low_m > -1.5
+
+
+def test_a_thinned_window_has_the_means_of_known_heights(tmp_path):
+    values = np.random.default_rng(8).uniform(0.0, 100.0, (1, 64, 64)).astype(np.float32)
+    values[0, :3, :3] = -9999.0
+    path = write_raster(tmp_path / "h.tif", values, 1.0, nodata=-9999.0)
+    bounds = (500000.0, 5779936.0, 500064.0, 5780000.0)
+    window = window_of(path, grid_of(path).crs, bounds, 256)
+    found, grid = read_elevation(path, window)
+    assert found.shape == (16, 16) and grid.transform.a == 4.0 and grid.bounds == bounds
+    known = np.where(values[0] == -9999.0, np.nan, values[0])
+    np.testing.assert_allclose(found, np.nanmean(known.reshape(16, 4, 16, 4), axis=(1, 3)), rtol=1e-5)
 
 
 def test_coarse_texels_have_the_shares_of_classes_of_a_finer_raster(tmp_path):

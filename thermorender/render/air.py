@@ -79,6 +79,8 @@ class SceneAir:
         assert scene.air is not None
         self._mi, self._air, self._solver = mi, scene.air, spectrum.solver
         self._altitude_m, self._background_k = scene.altitude_m, scene.surroundings_temperature
+        # Far ground lies on the Earth with refraction.
+        self._radius_m = EARTH_RADIUS_M if any(surface.far for surface in scene.surfaces) else MEAN_RADIUS_M
         self._seen: dict[int, Floats] = {}
         self._last: tuple[bytes, AirView] | None = None
 
@@ -110,7 +112,7 @@ class SceneAir:
 
         grid = PathGrid(self._mi, self._air, camera, limits, (nearest, farthest), cells)
         horizon = float(horizon_cos_zenith(camera))
-        return AirView(self._mi, grid, base, self._background(camera), horizon)
+        return AirView(self._mi, grid, base, self._background(camera), horizon, self._radius_m)
 
     def _background(self, camera: float) -> Floats:
         """Band radiance of rays that hit nothing, (2, _BACKGROUND), interpolated between fixed altitudes."""
@@ -175,8 +177,11 @@ class AirView:
     """The air seen from one camera position: `grid` of the channels' weights and the path radiance, `base` altitude of
     the local origin [m], `background` (2, n), `horizon` cosine of its zenith angle."""
 
-    def __init__(self, mi: Mitsuba, grid: PathGrid, base: float, background: Floats, horizon: float) -> None:
+    def __init__(
+        self, mi: Mitsuba, grid: PathGrid, base: float, background: Floats, horizon: float, radius_m: float
+    ) -> None:  # fmt: skip
         self._mi, self._grid, self._base = mi, grid, dr.opaque(mi.Float, float(base))
+        self._curvature = 0.5 / radius_m
         self._sky = mi.Float(aligned(background))
         self.horizon, self._horizon = horizon, dr.opaque(mi.Float, horizon)
 
@@ -186,8 +191,7 @@ class AirView:
         """Return the radiance at the camera, [Float]; `values` and `climb` as of `Vacuum.at_camera`."""
         mi = self._mi
         point = origin + hit.distance * direction
-        # Far ground is raised by refraction: its altitude is 1 m too high at 10 km, 25 m at 50 km.
-        end = self._base + point.z + 0.5 / MEAN_RADIUS_M * (point.x * point.x + point.y * point.y)
+        end = self._base + point.z + self._curvature * (point.x * point.x + point.y * point.y)
         factors = [*values, 1.0]
         total = mi.Float(0.0)
         for weight, found in self._grid.corners(hit.distance, end, hit.valid):
@@ -218,9 +222,9 @@ class AirView:
         return dr.lerp(a, b, position - mi.Float(lower))
 
 
-def altitude(points: ArrayLike, altitude_m: float) -> Floats:
+def altitude(points: ArrayLike, altitude_m: float, radius_m: float = MEAN_RADIUS_M) -> Floats:
     """Return the altitude above sea level [m] of points (..., 3) of the local frame, over a round Earth."""
-    return altitude_m + over_round_earth(points)
+    return altitude_m + over_round_earth(points, radius_m)
 
 
 def horizon_of(scene: Scene, pose: Floats) -> float:

@@ -14,6 +14,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from thermorender.atmosphere.rays import EARTH_RADIUS_M, MEAN_RADIUS_M
 from thermorender.errors import ThermorenderError
 from thermorender.render import turbid
 from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned, opaque_vector
@@ -303,7 +304,14 @@ class Geometry:
 
     def heights_m(self, points: NDArray[np.floating]) -> NDArray[np.floating]:
         """Return heights of points (n, 3), over a round Earth where there is far ground, (n,) [m]."""
-        return points[:, 2] if self._far_reach <= self.reach else over_round_earth(points).astype(points.dtype)
+        if self._far_reach <= self.reach:
+            return points[:, 2]
+        return over_round_earth(points, self.radius_m).astype(points.dtype)
+
+    @property
+    def radius_m(self) -> float:
+        """Radius of the Earth that surfaces follow [m]; far ground has that with refraction."""
+        return MEAN_RADIUS_M if self._far_reach <= self.reach else EARTH_RADIUS_M
 
     def of_object(self, name: str, first: int) -> "Geometry":
         """Return the Geometry of the surfaces of one object alone, of those from number `first` on."""

@@ -172,7 +172,11 @@ def _raster_cover(
                           context_of(emissivity, *drape.height, drape.grid, surface.texel_m))  # fmt: skip
         (material,), (unknown,) = _learned([picture], emissivity, materials, report, no_snow)
     else:
-        material = np.full(shape, _one_material(surface, emissivity, materials), np.uint8)
+        number = _of_emissivity(surface, emissivity, materials)
+        if number is None:
+            assert emissivity.fallback is not None
+            number = materials.index(emissivity.fallback, "emissivity.fallback")
+        material = np.full(shape, number, np.uint8)
         unknown |= emissivity.source in ("classes", "learned")
     if colour is None:
         colour = np.array([m.colour for m in materials.used], dtype=np.uint8)[material]
@@ -226,18 +230,6 @@ def _readable(surface: Surface, emissivity: EmissivitySpec) -> bool:
     """Whether a learned map reads the texels of a ground; those of far ground may be too coarse for it."""
     assert emissivity.model is not None
     return not surface.far or surface.texel_m <= COARSEST_RATIO * load_map(emissivity.model).texel_m
-
-
-def _one_material(surface: Surface, emissivity: EmissivitySpec, materials: MaterialList) -> int:
-    """The number of the one material of a raster ground without classes or colours."""
-    if emissivity.source not in ("classes", "learned"):
-        return _single(emissivity, materials)
-    if not emissivity.fallback:
-        raise ThermorenderError(
-            f"{materials.where}: {surface.name} ground has no class raster; give terrain.far.classes, or name the "
-            "material of the rest as emissivity.fallback"
-        )
-    return materials.index(emissivity.fallback, "emissivity.fallback")
 
 
 def _mesh_cover(
@@ -308,15 +300,16 @@ def _of_class_raster(
 
 
 def _of_emissivity(surface: Surface, emissivity: EmissivitySpec, materials: MaterialList) -> int | None:
-    """The number of the one material that [emissivity] gives a mesh's surface; None where a learned map finds them."""
+    """The number of the one material that [emissivity] gives a surface; None where a learned map finds them."""
     if emissivity.source == "learned":
         return None
     if emissivity.source != "classes":
         return _single(emissivity, materials)
     if not emissivity.fallback:
+        how = "terrain.far.classes" if surface.far else "it classes or a material in a [[surface]]"
         raise ThermorenderError(
-            f"{materials.where}: surface {surface.name!r} has no class raster; give it classes or a material in a "
-            "[[surface]], or name the material of the rest as emissivity.fallback"
+            f"{materials.where}: surface {surface.name!r} has no class raster; give {how}, or name the material of the "
+            "rest as emissivity.fallback"
         )
     return materials.index(emissivity.fallback, "emissivity.fallback")
 

@@ -95,8 +95,8 @@ def mixed_classes_on(
 ) -> tuple[NDArray[np.uint8], tuple[Mapping[int, float], ...]]:
     """Return (numbers (h, w) uint8, shares of classes of each number from 1 on) of a raster on a texel grid.
 
-    A texel of several pixels has their shares, in eighths; 0 is no data. The shares are () and the numbers are classes
-    where the raster is not finer than the texels.
+    A texel of several pixels has the area shares of their classes, rounded to eighths; 0 is no data. Shares are () and
+    the numbers are classes where the raster is not finer than the texels.
     """
     grid = grid_of(path)
     require_overlap(grid, texels)
@@ -112,14 +112,14 @@ def mixed_classes_on(
     ).astype(np.float32) / _WHOLE  # fmt: skip
     known = share.sum(axis=-1) > 0.5 / _PARTS
     share[known] /= share[known].sum(axis=-1, keepdims=True)
-    eighths, of = np.unique(_in_parts(share[known]), axis=0, return_inverse=True)
+    parts, of = np.unique(_in_parts(share[known]), axis=0, return_inverse=True)
     count = np.bincount(of.ravel())
-    chosen = _representative(eighths, count)
-    nearest = np.square(eighths[:, None].astype(np.float32) - eighths[chosen]).sum(axis=-1).argmin(axis=1)
+    chosen = _representative(parts, count)
+    nearest = np.square(parts[:, None].astype(np.float32) - parts[chosen]).sum(axis=-1).argmin(axis=1)
     number = np.zeros(known.shape, np.uint8)
     number[known] = 1 + nearest[of.ravel()]
-    # A mixture has the mean shares of the texels that it stands for, so that those of the ground stay as they are.
-    mean = np.stack([np.bincount(nearest, count * part, len(chosen)) for part in eighths.T], axis=-1).astype(np.float64)
+    # The mean shares of a mixture's texels keep the area of each class.
+    mean = np.stack([np.bincount(nearest, count * part, len(chosen)) for part in parts.T], axis=-1).astype(np.float64)
     mean[mean < _LEAST * mean.sum(axis=1, keepdims=True)] = 0.0
     mean = mean / mean.sum(axis=1, keepdims=True)
     mixed = tuple({int(one): float(part) for one, part in zip(present, row, strict=True) if part} for row in mean)
@@ -135,13 +135,13 @@ def _in_parts(share: NDArray[np.floating]) -> NDArray[np.int8]:
     return whole + (rank < missing).astype(np.int8)
 
 
-def _representative(eighths: NDArray[np.integer], count: NDArray[np.integer]) -> NDArray[np.integer]:
+def _representative(parts: NDArray[np.integer], count: NDArray[np.integer]) -> NDArray[np.integer]:
     """Rows of (n, c) shares that stand for all: half the most frequent, half those farthest from all chosen before."""
-    if len(eighths) <= _MOST_MIXED:
-        return np.arange(len(eighths))
+    if len(parts) <= _MOST_MIXED:
+        return np.arange(len(parts))
     chosen = list(np.argsort(-count, kind="stable")[: _MOST_MIXED // 2])
-    away = np.square(eighths[:, None].astype(np.float32) - eighths[chosen]).sum(axis=-1).min(axis=1)
+    away = np.square(parts[:, None].astype(np.float32) - parts[chosen]).sum(axis=-1).min(axis=1)
     while len(chosen) < _MOST_MIXED:
         chosen.append(int((away * np.sqrt(count)).argmax()))
-        away = np.minimum(away, np.square(eighths - eighths[chosen[-1]].astype(np.float32)).sum(axis=-1))
+        away = np.minimum(away, np.square(parts - parts[chosen[-1]].astype(np.float32)).sum(axis=-1))
     return np.sort(chosen)

@@ -77,9 +77,10 @@ def read_files(spec: SceneSpec, where: str) -> SceneFiles:
     if spec.terrain.elevation:
         parts, inside = _raster_terrain(spec, where, library)
     else:
-        parts, inside = _mesh_terrain(spec, where, library), None
-    if spec.terrain.far:
-        parts = _with_far(spec, parts, inside or far_ground.of_mesh(parts.ground), where)
+        parts = _mesh_terrain(spec, where, library)
+        inside = far_ground.of_mesh(parts.ground) if spec.terrain.far else None
+    if inside is not None:
+        parts = _with_far(spec, parts, inside, where)
     files = replace(parts, objects=tuple(_object(item, spec.folder, where) for item in spec.objects))
     for doubt in _doubts(spec, files):
         warnings.warn(f"{where}: {doubt}", ThermorenderWarning, stacklevel=3)
@@ -115,7 +116,8 @@ def _heights(
 
 def _raster_terrain(
     spec: SceneSpec, where: str, library: Mapping[str, Material]
-) -> tuple[SceneFiles, GroundPlan]:  # fmt: skip
+) -> tuple[SceneFiles, GroundPlan | None]:  # fmt: skip
+    """(SceneFiles of a raster terrain, its GroundPlan where far ground lies around it)."""
     source = spec.terrain
     assert source.elevation is not None
     height, grid = _heights(source.elevation, source.height_reference, spec)
@@ -149,7 +151,7 @@ def _raster_terrain(
         assert spec.emissivity.raster is not None
         classes = classes_on(spec.emissivity.raster, spec.emissivity.classes, texels, where)
         drape = replace(drape, classes=classes, classes_file=spec.emissivity.raster)
-    inside = far_ground.of_raster(vertices, height, grid, frame)
+    inside = far_ground.of_raster(vertices, height, grid, frame) if source.far else None
     return SceneFiles(frame, (surface,), (), (drape,), library), inside
 
 

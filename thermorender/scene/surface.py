@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from thermorender.atmosphere.rays import MEAN_RADIUS_M
+from thermorender.atmosphere.rays import EARTH_RADIUS_M, MEAN_RADIUS_M
 from thermorender.errors import ThermorenderError
 
 if TYPE_CHECKING:
@@ -62,11 +62,11 @@ class Surface:
     def heights_m(self) -> NDArray[np.float64]:
         """Return the heights of the vertices above the level of the frame's origin, (V,) [m].
 
-        Far ground follows the Earth's curvature; within a scene the level is a plane.
+        Far ground follows the Earth's curvature and refraction; within a scene the level is a plane.
         """
         if not self.far:
             return self.vertices[:, 2]
-        return over_round_earth(self.vertices)
+        return over_round_earth(self.vertices, EARTH_RADIUS_M)
 
     def copied(self) -> "Surface":
         """Return this surface with its own copies of the arrays, which nobody else can change."""
@@ -81,10 +81,10 @@ class Surface:
         return f"Surface({self.name!r}, {what}, {columns}×{rows} texels of {self.texel_m:.3g} m, {kelvin})"
 
 
-def over_round_earth(points: ArrayLike) -> NDArray[np.float64]:
+def over_round_earth(points: ArrayLike, radius_m: float = MEAN_RADIUS_M) -> NDArray[np.float64]:
     """Return the heights of local positions (..., 3) above the level of the origin over a round Earth [m]."""
     points = np.asarray(points, np.float64)
-    return points[..., 2] + np.square(points[..., :2]).sum(axis=-1) * (0.5 / MEAN_RADIUS_M)
+    return points[..., 2] + np.square(points[..., :2]).sum(axis=-1) * (0.5 / radius_m)
 
 
 # Hotter than any flame: a higher value is a placeholder for "no data", or not a temperature.

@@ -64,9 +64,9 @@ def read_far(
     """
     found, notes = list[FarGround](), list[str]()
     middle = np.array(posts.bounds).reshape(2, 2).mean(axis=0)
+    left, bottom, right, top = np.concatenate([middle - _REACH_M, middle + _REACH_M]).tolist()
     for text in given:
         elevation, _, orthophoto = text.partition(",")
-        left, bottom, right, top = np.concatenate([middle - _REACH_M, middle + _REACH_M]).tolist()
         own, grid, bounds = read_heights(Path(elevation), posts.crs, (left, bottom, right, top), _MOST_POSTS)
         notes += doubtful_zeros(Path(elevation), own)
         picture = None

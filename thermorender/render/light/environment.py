@@ -70,7 +70,8 @@ def of_scene(scene: Scene, plan: Plan, geometry: Geometry, touching: NDArray[np.
     background = spectrum.black([scene.surroundings_temperature])[0]
     if scene.air is None:
         return even(spectrum.black([scene.sky_temperature])[0], background, geometry.face_count)
-    height = altitude(np.concatenate([s.vertices[s.faces].mean(axis=1) for s in geometry.surfaces]), scene.altitude_m)
+    middle = np.concatenate([s.vertices[s.faces].mean(axis=1) for s in geometry.surfaces])
+    height = altitude(middle, scene.altitude_m, geometry.radius_m)
     low, high = float(height.min()), float(height.max())
     levels = np.linspace(low, high, 1 + max(1, int(np.ceil((high - low) / _LEVEL_M))))
     position = (height - low) / max(high - low, 1e-9) * (len(levels) - 1)
