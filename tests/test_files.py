@@ -342,7 +342,7 @@ def test_each_kind_of_cached_files_has_its_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path))
     folders = [cache_folder(kind) for kind in CACHED]
     assert len(set(folders)) == len(folders) and all(folder.parent == tmp_path for folder in folders)
-    with pytest.raises(ValueError, match="kind='x' is not cached; give one of light, lowtran"):
+    with pytest.raises(ValueError, match="kind='x' is not cached; give one of light, tiles, lowtran"):
         cache_folder("x")
     monkeypatch.delenv("THERMORENDER_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))

@@ -3,8 +3,8 @@
 import os
 from pathlib import Path
 
-# Traced light, LOWTRAN7 with its results, and the tokens of servers.
-CACHED = ("light", "lowtran", "link")
+# Traced light, baked tiles, LOWTRAN7 with its results, and the tokens of servers.
+CACHED = ("light", "tiles", "lowtran", "link")
 
 
 def cache_folder(kind: str) -> Path:

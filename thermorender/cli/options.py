@@ -291,10 +291,10 @@ class SamplingOptions:
     def renderer(self, scene: "Scene", seed: int, device: str, progress: Progress) -> "Renderer":
         """Return the Renderer of a scene; print the reports of learned maps that ran only now."""
         with phase("imports"):
-            from thermorender.render.renderer import Renderer
+            from thermorender.render.tiled.tiled_renderer import renderer_of
 
         settings = self.settings() | {"seed": seed, "device": device, "progress": progress}
-        made = Renderer(scene, **settings)
+        made = renderer_of(scene, **settings)
         if not scene.temperature_state.solved and hasattr(scene.temperature_state.source, "model"):
             print_map_reports(made.scene)
         return made
@@ -460,5 +460,5 @@ def print_map_reports(scene: "Scene") -> None:
 
 def print_cache_note(renderer: "Renderer") -> None:
     """Print why the light of a scene was not cached, if it was not."""
-    if renderer.baked.cache_note:
-        typer.echo(f"note: {renderer.baked.cache_note}", err=True)
+    if renderer.cache_note:
+        typer.echo(f"note: {renderer.cache_note}", err=True)

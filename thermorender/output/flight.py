@@ -220,7 +220,7 @@ class Flight:
         from thermorender.render.renderer import Renderer
 
         renderer = self.renderer
-        if not renderer.scene.temperature_state.weather_driven:
+        if renderer.follows_weather and not renderer.scene.temperature_state.weather_driven:
             renderer = Renderer.of(replace(renderer.baked, incident=None), renderer.seed)
         return self.__dict__ | {"renderer": renderer, "flown": self.flown.by(renderer), "sheet": [], "terrain": []}
 
@@ -238,7 +238,11 @@ class Flight:
             "first_time_s": float(self.times[0]),
             "last_time_s": float(self.times[-1]),
             "time": None if start is None else utc_text(start),
-            **({"temperature_step_s": STEP_S} if scene.temperature_state.weather_driven else {}),
+            **(
+                {"temperature_step_s": STEP_S}
+                if self.renderer.follows_weather and scene.temperature_state.weather_driven
+                else {}
+            ),
             **weather_of(scene),
             # The path between frames too, since the sensor remembers it.
             "path_digest": _digest(self.flown.poses, trajectory.time_s, trajectory.position, trajectory.quaternion),

@@ -80,7 +80,7 @@ class SceneAir:
         self._mi, self._air, self._solver = mi, scene.air, spectrum.solver
         self._altitude_m, self._background_k = scene.altitude_m, scene.surroundings_temperature
         # Far ground lies on the Earth with refraction.
-        self._radius_m = EARTH_RADIUS_M if any(surface.far for surface in scene.surfaces) else MEAN_RADIUS_M
+        self._radius_m = EARTH_RADIUS_M if any(surface.on_round_earth for surface in scene.surfaces) else MEAN_RADIUS_M
         self._seen: dict[int, Floats] = {}
         self._last: tuple[bytes, AirView] | None = None
 

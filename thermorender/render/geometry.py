@@ -45,9 +45,10 @@ class Hit:
 
 
 class Geometry:
-    """Ray caster and flat arrays of a scene's surfaces; `mi` is Mitsuba with a variant active."""
+    """Ray caster and flat arrays of a scene's surfaces; `mi` is Mitsuba with a variant active. Squares of a tiled
+    ground state their `reach` alike, so that rays begin at the same points in each."""
 
-    def __init__(self, mi: Mitsuba, surfaces: Sequence[Surface]) -> None:
+    def __init__(self, mi: Mitsuba, surfaces: Sequence[Surface], reach: float | None = None) -> None:
         self.mi = mi
         self.surfaces = surfaces
         # (S + 1,) int64: first face and first texel of each surface in the flat numbering.
@@ -65,6 +66,8 @@ class Geometry:
         self.reach, self._far_reach = (
             max(float(np.abs(surface.vertices).max()) for surface in some) for some in (near, surfaces)
         )
+        self._round = any(surface.on_round_earth for surface in surfaces)
+        self.reach = self.reach if reach is None else reach
         # Smallest offset between points [m]: 64 float32 steps at `reach`; see `lift`.
         self.hair = _STEPS * (1.0 + self.reach)
         meshes = {
@@ -99,6 +102,8 @@ class Geometry:
         self._objects = dict[str, Geometry]()
         # {number of a surface: leaves.Open}, what `light.leaves` has traced of the bodies of copies.
         self.openness = dict[int, Any]()
+        # Whether its traced light is kept on disk.
+        self.kept = True
         parts = (start[:-1], squares[:, 0], squares[:, 1])
         self._lattice = tuple(mi.Int32(aligned(part, np.int32)) for part in parts)
         # (8 F,): for each face, gradient and offset of the texel map's column, then of its row.
@@ -112,6 +117,16 @@ class Geometry:
             return hair
         along = dr.maximum(dr.maximum(dr.abs(point.x), dr.abs(point.y)), dr.abs(point.z))
         return dr.maximum(hair, dr.opaque(mi.Float, _STEPS) * (1.0 + along))
+
+    @cached_property
+    def joined(self) -> Jit | None:
+        """The number of each surface's body, Float: all joined ground is one; None where none is joined."""
+        own = [surface.joined for surface in self.surfaces]
+        if not any(own):
+            return None
+        number = np.arange(len(own), dtype=np.float32)
+        number[own] = number[own][0]
+        return self.mi.Float(aligned(number))
 
     def hair_at(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return `lift` of points (n, 3), (n, 1) float32 [m]."""
@@ -298,20 +313,20 @@ class Geometry:
     @cached_property
     def low_m(self) -> float:
         """Lowest height of a surface, of far ground over a round Earth [m]."""
-        far = [float(surface.heights_m().min()) for surface in self.surfaces if surface.far]
-        near = _box([surface for surface in self.surfaces if not surface.far] or self.surfaces)
+        far = [float(surface.heights_m().min()) for surface in self.surfaces if surface.on_round_earth]
+        near = _box([surface for surface in self.surfaces if not surface.on_round_earth] or self.surfaces)
         return min(float(near[0, 2]), *far, np.inf)
 
     def heights_m(self, points: NDArray[np.floating]) -> NDArray[np.floating]:
         """Return heights of points (n, 3), over a round Earth where there is far ground, (n,) [m]."""
-        if self._far_reach <= self.reach:
+        if not self._round:
             return points[:, 2]
         return over_round_earth(points, self.radius_m).astype(points.dtype)
 
     @property
     def radius_m(self) -> float:
         """Radius of the Earth that surfaces follow [m]; far ground has that with refraction."""
-        return MEAN_RADIUS_M if self._far_reach <= self.reach else EARTH_RADIUS_M
+        return EARTH_RADIUS_M if self._round else MEAN_RADIUS_M
 
     def of_object(self, name: str, first: int) -> "Geometry":
         """Return the Geometry of the surfaces of one object alone, of those from number `first` on."""

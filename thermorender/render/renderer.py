@@ -95,6 +95,9 @@ class Renderer:
         `scene` is not a Scene, its parts disagree, a setting is out of range, or `like` has other surfaces.
     """
 
+    # Whether `solved_for` makes the renderer of another instant of a flight.
+    follows_weather = True
+
     scene: Scene
     plan: Plan
     seed: int
@@ -197,6 +200,11 @@ class Renderer:
                 self._baked = bake(self.scene, self.plan, self._geometry, self._like, report)
             self._like = None
         return self._baked
+
+    @property
+    def cache_note(self) -> str | None:
+        """Why traced light could not be kept on disk; None where it was kept or need not be."""
+        return self.baked.cache_note
 
     def frame(
         self, pose: ArrayLike, time_s: float = 0.0, index: int = 0, objects: Objects | None = None,
@@ -455,7 +463,7 @@ class Renderer:
         sampling: SampledImage | None = None,
     ) -> Frame:  # fmt: skip
         return Frame(
-            radiance=radiance, pose=view.pose, time_s=float(time_s), index=_whole("index", index), seed=self.seed,
+            radiance=radiance, pose=view.scene_pose, time_s=float(time_s), index=_whole("index", index), seed=self.seed,
             camera=self.scene.camera, plan=plan, time=self.scene.time,
             materials=tuple(material.name for material in self.scene.materials), objects=object_names(self.scene),
             device=active_device(), place=place_of(self.scene.frame, self.scene.grid), _view=view, _sampling=sampling,

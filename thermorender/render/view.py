@@ -27,6 +27,7 @@ class View:
     rays: CameraRays
     pose: Floats  # (4, 4) world_from_camera
     states: tuple[ObjectState, ...]  # of the dynamic objects
+    to_scene: Floats | None = None  # (4, 4) from the frame of the pose to the scene's, where that is another
 
     def tracer(self, through_air: bool = True) -> Tracer:
         """Return the Tracer of this view."""
@@ -66,7 +67,17 @@ class View:
         rendered last."""
         last = self.rays.last_hits
         middles = last[1] if last and sampling and last[0] is sampling.hit else None
-        return truth.truth(self.baked, self.rays, self.pose, self.states, middles)
+        found = truth.truth(self.baked, self.rays, self.pose, self.states, middles)
+        if self.to_scene is not None:
+            position = found["position"]
+            moved = position.astype(np.float64) @ self.to_scene[:3, :3].T + self.to_scene[:3, 3]
+            found["position"] = moved.astype(position.dtype)
+        return found
+
+    @property
+    def scene_pose(self) -> Floats:
+        """The pose in the scene's frame, (4, 4)."""
+        return self.pose if self.to_scene is None else self.to_scene @ self.pose
 
     def targets(self) -> dict[str, dict[str, Any]]:
         """Return the positions of objects, as `Frame.targets`."""

@@ -81,6 +81,7 @@ class MaterialList:
         self.library, self.replaced, self.band_um, self.where = library, replaced, band_um, where
         self.used: list[Material] = []
         self.numbers: dict[int, int] = {}
+        self.mixtures: dict[tuple[tuple[int, float], ...], Material] = {}
         self.unused = set(replaced)
 
     def index(self, name: str, key: str, *by: int | str) -> int:
@@ -106,6 +107,13 @@ class MaterialList:
             self.numbers[id(material)] = len(self.used)
             self.used.append(material)
         return self.numbers[id(material)]
+
+    def mixed(self, parts: Sequence[tuple[Material, float]]) -> int:
+        """Return the number of the mixture of materials, the same for the same (Material, share) pairs."""
+        key = tuple((id(material), share) for material, share in parts)
+        if key not in self.mixtures:
+            self.mixtures[key] = mix(parts)
+        return self.add(self.mixtures[key])
 
 
 def cover_of(files: SceneFiles, covering: Covering, snow: bool, where: str) -> Cover:
@@ -202,7 +210,7 @@ def _of_classes(
     for number, parts in enumerate(mixed, 1):
         pure = [(materials.found(emissivity.classes[value], f"emissivity.classes.{value}", value), share)
                 for value, share in parts.items()]  # fmt: skip
-        lookup[number] = materials.add(mix(_joined(pure)))
+        lookup[number] = materials.mixed(_joined(pure))
     for value, material in emissivity.classes.items() if not mixed else ():
         lookup[value] = materials.index(material, f"emissivity.classes.{value}", value)
     known, unknown = classes != 0, np.zeros(classes.shape, bool)

@@ -40,8 +40,8 @@ def digest(
             copies = own.pop("instances")
             if own["scatter_k"] is None:
                 own.pop("scatter_k")
-            for name in ("inner_w_m2", "far"):
-                if not own[name]:
+            for name in ("inner_w_m2", "far", "seeds", "joined"):
+                if own[name] is None or not np.any(own[name]):
                     own.pop(name)
             for value in (*own.values(), *(vars(copies).values() if copies is not None else ())):
                 state.update(_bytes(value))

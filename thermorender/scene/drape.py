@@ -13,7 +13,7 @@ from thermorender.scene.raster import Grid, bounds_in, describe, grid_of, onto, 
 # Mixtures of classes of a coarse ground at most; shares of classes are rounded to such parts.
 _MOST_MIXED, _PARTS = 48, 8
 # Smaller shares of a class in a mixture are left out.
-_LEAST = 1.0 / 32.0
+LEAST_SHARE = 1.0 / 32.0
 # Texels along a side from which a coarse ground has shares of classes in place of the classes of a finer raster.
 _MOST_SIDE = 1024
 # Pixels of classes for each texel from which its shares count.
@@ -112,21 +112,21 @@ def mixed_classes_on(
     ).astype(np.float32) / _WHOLE  # fmt: skip
     known = share.sum(axis=-1) > 0.5 / _PARTS
     share[known] /= share[known].sum(axis=-1, keepdims=True)
-    parts, of = np.unique(_in_parts(share[known]), axis=0, return_inverse=True)
+    parts, of = np.unique(in_parts(share[known]), axis=0, return_inverse=True)
     count = np.bincount(of.ravel())
-    chosen = _representative(parts, count)
+    chosen = representative(parts, count)
     nearest = np.square(parts[:, None].astype(np.float32) - parts[chosen]).sum(axis=-1).argmin(axis=1)
     number = np.zeros(known.shape, np.uint8)
     number[known] = 1 + nearest[of.ravel()]
     # The mean shares of a mixture's texels keep the area of each class.
     mean = np.stack([np.bincount(nearest, count * part, len(chosen)) for part in parts.T], axis=-1).astype(np.float64)
-    mean[mean < _LEAST * mean.sum(axis=1, keepdims=True)] = 0.0
+    mean[mean < LEAST_SHARE * mean.sum(axis=1, keepdims=True)] = 0.0
     mean = mean / mean.sum(axis=1, keepdims=True)
     mixed = tuple({int(one): float(part) for one, part in zip(present, row, strict=True) if part} for row in mean)
     return number, mixed
 
 
-def _in_parts(share: NDArray[np.floating]) -> NDArray[np.int8]:
+def in_parts(share: NDArray[np.floating]) -> NDArray[np.int8]:
     """Shares (n, c) that sum to one as whole numbers of parts, whose sum is `_PARTS`: largest remainders."""
     exact = share * _PARTS
     whole = np.floor(exact + 1e-4).astype(np.int8)
@@ -135,7 +135,7 @@ def _in_parts(share: NDArray[np.floating]) -> NDArray[np.int8]:
     return whole + (rank < missing).astype(np.int8)
 
 
-def _representative(parts: NDArray[np.integer], count: NDArray[np.integer]) -> NDArray[np.integer]:
+def representative(parts: NDArray[np.integer], count: NDArray[np.integer]) -> NDArray[np.integer]:
     """Rows of (n, c) shares that stand for all: half the most frequent, half those farthest from all chosen before."""
     if len(parts) <= _MOST_MIXED:
         return np.arange(len(parts))

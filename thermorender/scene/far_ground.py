@@ -30,6 +30,10 @@ _CLOSER = 0.75
 _FARTHEST, _FARTHEST_STEPS, _AVERAGED = 2.5, 4, 64
 
 
+class NothingOutside(ThermorenderError):
+    """Far ground lies nowhere outside of the ground inside."""
+
+
 @dataclass(frozen=True, eq=False)
 class GroundPlan:
     """Where ground lies: cells between the posts of a lattice."""
@@ -103,12 +107,13 @@ def raised_m(east: _Floats, north: _Floats) -> _Floats:
 
 
 def far_mesh(
-    height: _Floats, grid: Grid, frame: LocalFrame, texels: Grid, inside: GroundPlan
+    height: _Floats, grid: Grid, frame: LocalFrame, texels: Grid, inside: GroundPlan, extend: bool = True
 ) -> tuple[tuple[_Floats, NDArray[np.int32], NDArray[np.float32]], GroundPlan]:
     """Return ((vertices (V, 3) [m], faces (F, 3), uv (F, 3, 2)), GroundPlan) of heights (h, w) around other ground.
 
     Cells that meet the ground `inside` are left out. The Delaunay triangulation of the posts around them, of the posts
-    of its rim, and of points between them closes the gap. Posts there without a height have that of the nearest one.
+    of its rim, and of points between them closes the gap. Posts there without a height have that of the nearest one,
+    or leave the gap open if they are not to `extend` the ground.
     """
     rows, columns = height.shape
     column, row = np.meshgrid(np.arange(columns), np.arange(rows))
@@ -123,7 +128,7 @@ def far_mesh(
     _refuse_outside(at, rows, columns, grid)
     clear, hole = _hole(at, posts.reshape(rows, columns, 3), inside)
     edge = clear & _any_cell(hole)
-    kept = ~hole & ~_any_corner(~(known | edge))
+    kept = ~hole & ~_any_corner(~(known | edge) if extend else ~known)
     index = np.flatnonzero(edge)
     outer = np.stack([column, row], axis=-1).reshape(-1, 2)[index].astype(np.float64)
     added, places = _between(posts.reshape(rows, columns, 3), rim, at, outer, hole, inside)
@@ -134,7 +139,8 @@ def far_mesh(
         positions = np.concatenate([positions, 0.5 * (positions[[one]] + positions[[other]])])
     middle = points[joined].mean(axis=1)
     there = np.clip(np.floor(middle).astype(np.int64), 0, (columns - 2, rows - 2))
-    joined = joined[hole[there[:, 1], there[:, 0]] & ~inside.covers(positions[joined].mean(axis=1))]
+    closed = hole if extend else hole & ~_any_corner(~known)
+    joined = joined[closed[there[:, 1], there[:, 0]] & ~inside.covers(positions[joined].mean(axis=1))]
     number = rows * columns + np.arange(len(points))
     number[len(at) : len(at) + len(index)] = index
     faces = np.concatenate([_cells(kept, columns), number[joined]])
@@ -148,7 +154,7 @@ def far_mesh(
     area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
     faces = np.where((area < 0.0)[:, None], faces[:, ::-1], faces)[np.abs(area) > 1e-9]
     if not len(faces):
-        raise ThermorenderError(f"{grid.name} has no ground outside of the scene; give a raster of a larger area")
+        raise NothingOutside(f"{grid.name} has no ground outside of the scene; give a raster of a larger area")
     used, faces = np.unique(faces, return_inverse=True)
     faces = faces.reshape(-1, 3).astype(np.int32)
     uv = at_texel[used] / (texels.width, texels.height)

@@ -32,10 +32,12 @@ from thermorender.scene.meshes import mesh
 from thermorender.scene.meshes.axes import object_doubts, terrain_doubts, vector_area
 from thermorender.scene.orthophoto import read_colour
 from thermorender.scene.raster import Grid, grid_of, on_map, onto, read_classes
+from thermorender.scene.sources import Classes, Colours, Heights, rasters_of
 from thermorender.scene.spec import FarSpec, ObjectSpec, SceneSpec
-from thermorender.scene.surface import FILLED, SURFACE, Surface, scene_kelvin
+from thermorender.scene.surface import FILLED, Surface, bare, scene_kelvin
 from thermorender.scene.textures import Texture, areas, named, onto_texels, stating, texel_size_m
 from thermorender.scene.tracks import TrackedObject, read_columns, read_track
+from thermorender.scene.world import World, WorldGround, world_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +51,7 @@ class SceneFiles:
     drapes: tuple[Drape, ...]  # Of each raster ground
     library: Mapping[str, Material]
     objects: tuple[TrackedObject, ...] = ()  # Every object, in its own frame; one without a track has one row
+    world: World | None = None  # The tiled ground of which `ground` is an overview
 
     @property
     def grid(self) -> Grid | None:
@@ -74,7 +77,11 @@ def read_files(spec: SceneSpec, where: str) -> SceneFiles:
     """Return the SceneFiles of a scene file."""
     own = spec.folder / "materials"
     library = material_tables.load_library(own if own.is_dir() else None)
-    if spec.terrain.elevation:
+    inside = None
+    if spec.terrain.tiles:
+        world = _world(spec, where, library)
+        parts = replace(of_ground(world, world.overview()), world=world)
+    elif spec.terrain.elevation:
         parts, inside = _raster_terrain(spec, where, library)
     else:
         parts = _mesh_terrain(spec, where, library)
@@ -85,6 +92,23 @@ def read_files(spec: SceneSpec, where: str) -> SceneFiles:
     for doubt in _doubts(spec, files):
         warnings.warn(f"{where}: {doubt}", ThermorenderWarning, stacklevel=3)
     return files
+
+
+def of_ground(world: World, ground: WorldGround) -> SceneFiles:
+    """Return the SceneFiles of a part of a tiled ground."""
+    return SceneFiles(ground.frame, ground.surfaces, (), ground.drapes, world.library)
+
+
+def _world(spec: SceneSpec, where: str, library: Mapping[str, Material]) -> World:
+    tiles = spec.terrain.tiles
+    assert tiles is not None
+    added_m = spec.terrain.geoid_undulation_m or 0.0 if spec.terrain.height_reference == "geoid" else 0.0
+    return world_of(
+        Heights(rasters_of(tiles.elevation), added_m),
+        Colours(rasters_of(tiles.orthophoto)) if tiles.orthophoto else None,
+        Classes(rasters_of(tiles.classes)) if tiles.classes else None,
+        spec.emissivity.classes, library, where, LocalFrame(*spec.frame) if spec.frame else None,
+    )  # fmt: skip
 
 
 def _doubts(spec: SceneSpec, files: SceneFiles) -> Iterator[str]:
@@ -141,9 +165,7 @@ def _raster_terrain(
         raise ThermorenderError(
             f"{where}: emissivity.source='learned' reads materials from an orthophoto; add terrain.orthophoto"
         )
-    surface = _surface(
-        "terrain", vertices, faces, uv, (texels.height, texels.width), terrain.texel_size_m(texels, frame)
-    )
+    surface = bare("terrain", vertices, faces, uv, (texels.height, texels.width), terrain.texel_size_m(texels, frame))
     drape = _drape(source.orthophoto, height, grid, texels)
     if made is not None:
         drape = replace(drape, filled=onto(made.astype(np.float32), grid, texels, "max") == 1.0)
@@ -205,7 +227,7 @@ def _far(
     _require_alike(texels, grid)
     far_ground.refuse_finer(grid, terrain.texel_size_m(grid, frame), inside)
     (vertices, faces, uv), plan = far_ground.far_mesh(height, grid, frame, texels, inside)
-    surface = _surface(name, vertices, faces, uv, (texels.height, texels.width), terrain.texel_size_m(texels, frame))
+    surface = bare(name, vertices, faces, uv, (texels.height, texels.width), terrain.texel_size_m(texels, frame))
     drape = _drape(one.orthophoto, height, grid, texels)
     if one.classes:
         numbers, mixed = mixed_classes_on(one.classes, spec.emissivity.classes, texels, where)
@@ -324,23 +346,5 @@ def _inner_shares(
 
 def _part_surface(part: mesh.Part) -> Surface:
     shape = part.colour.shape[:2]
-    made = _surface(part.name, part.vertices, part.faces, part.uv, shape, 1.0)
+    made = bare(part.name, part.vertices, part.faces, part.uv, shape, 1.0)
     return replace(made, colour=part.colour, texel_m=texel_size_m(made))
-
-
-def _surface(
-    name: str, vertices: NDArray[np.float64], faces: NDArray[np.int32], uv: NDArray[np.float32],
-    shape: tuple[int, ...], texel_m: float,
-) -> Surface:  # fmt: skip
-    """A Surface whose colour, material and temperature are placeholders without memory of their own."""
-    return Surface(
-        name=name,
-        vertices=vertices,
-        faces=faces,
-        uv=uv,
-        colour=np.broadcast_to(np.uint8(0), (*shape, 3)),
-        material=np.broadcast_to(np.uint8(0), shape),
-        temperature=np.broadcast_to(np.float32(np.nan), shape),
-        flags=np.full(shape, SURFACE, np.uint8),
-        texel_m=texel_m,
-    )

@@ -65,8 +65,12 @@ class Ground:
         """Return local heights [m] in the shape of the arguments, a number for numbers; NaN off the terrain."""
         east, north = np.broadcast_arrays(np.asarray(east, np.float64), np.asarray(north, np.float64))
         point = np.stack([east.ravel(), north.ravel()], axis=-1)
-        height = np.fmax.reduce([bins.height(point) for bins in self._bins])
-        return height.reshape(east.shape)[()]
+        return self._height(point).reshape(east.shape)[()]
+
+    def _height(self, point: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Heights at (n, 2) places, (n,) [m]; NaN off the terrain."""
+        found: NDArray[np.float64] = np.fmax.reduce([bins.height(point) for bins in self._bins])
+        return found
 
 
 def _parts(faces: NDArray[np.int32]) -> list[NDArray[np.int32]]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.scene.raster import RasterWindow, opened
+from thermorender.scene.raster import Grid, RasterWindow, onto, opened
 
 _COLOURS = ("red", "green", "blue")
 # Levels from black or white of a collar that lossy compression changed; the default of GDAL's `nearblack`.
@@ -49,6 +49,21 @@ def read_colour(
                 valid &= _opaque(path, dataset, names, part)
             rgb = np.ascontiguousarray(np.moveaxis(_in_8_bits(path, values, scales, colour_range, valid), 0, -1))
     return rgb, valid if part and not part.whole else valid & ~empty_border(rgb, collar)
+
+
+def resampled(
+    rgb: NDArray[np.uint8], valid: NDArray[np.bool_], grid: Grid, target: Grid, resampling: str
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """Return (rgb (h, w, 3), valid (h, w)) on another grid; colours that are not valid do not bleed into others."""
+    if valid.all():
+        # In bytes, a third of the time.
+        shown = onto(valid.astype(np.uint8), grid, target, resampling) > 0
+        return np.where(shown[..., None], onto(rgb, grid, target, resampling), 0), shown
+    weight = np.nan_to_num(onto(valid.astype(np.float32), grid, target, resampling))
+    filtered = onto(rgb * valid[..., None].astype(np.float32), grid, target, resampling)
+    valid = weight > 0.5
+    mean = np.where(valid[..., None], filtered / np.maximum(weight, 1e-6)[..., None], 0.0)
+    return np.clip(np.rint(np.nan_to_num(mean)), 0, 255).astype(np.uint8), valid
 
 
 def _nearest(options: dict[str, Any]) -> dict[str, Any]:

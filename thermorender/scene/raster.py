@@ -285,9 +285,9 @@ def read_band(path: Path, missing: Sequence[float] = (), part: RasterWindow | No
     return filled
 
 
-def read_classes(path: Path) -> NDArray[np.int16]:
-    """Return the class numbers of a raster, (h, w) int16, 0 where it has no data."""
-    numbers = np.nan_to_num(read_band(path), nan=0.0)
+def read_classes(path: Path, part: RasterWindow | None = None) -> NDArray[np.int16]:
+    """Return the class numbers of a raster, or of its window, (h, w) int16, 0 where it has no data."""
+    numbers = np.nan_to_num(read_band(path, (), part), nan=0.0)
     odd = (numbers < 0.0) | (numbers > 255.0) | (numbers % 1.0 != 0.0)
     if odd.any():
         raise ThermorenderError(

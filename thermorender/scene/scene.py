@@ -38,6 +38,7 @@ from thermorender.scene.arguments import (
 )
 from thermorender.scene.cover import OBJECT, SURFACE_OF_MESH, Cover, Painted
 from thermorender.scene.declared import Declared
+from thermorender.scene.folder import of_ground
 from thermorender.scene.georeference import place_of
 from thermorender.scene.patch import Patch, areas, texels_in
 from thermorender.scene.pipeline import Values
@@ -53,7 +54,8 @@ from thermorender.trajectory.path import pose
 from thermorender.units import Number, instant, utc_text, with_unit
 
 if TYPE_CHECKING:
-    pass
+    from thermorender.physics.geodesy import LocalFrame
+    from thermorender.scene.world import World, WorldGround
 
 _T = TypeVar("_T")
 
@@ -222,6 +224,51 @@ class Scene:
             return float(self.air.sky_temperature(self.altitude_m))
         assert self.spec.sky_temperature is not None
         return float(self.spec.sky_temperature)
+
+    @property
+    def world(self) -> "World | None":
+        """The tiled ground of which the terrain is an overview; None for others."""
+        files = self._declared.files
+        return None if files is None else files.world
+
+    def on_ground(self, ground: "WorldGround") -> "Scene":
+        """Return this scene on a part of its tiled ground, lit by the same sun, sky and air."""
+        world = self.world
+        assert world is not None
+        return self._edited(replace(self._placed(ground.frame), files=of_ground(world, ground)))
+
+    def of_tiles(self, surfaces: Sequence[Surface], frame: "LocalFrame") -> "Scene":
+        """Return this scene with tiles of its ground in another frame, at the temperatures in their texels."""
+        shape = Shape(frame, tuple(surfaces), (), (), (), (), max(float(each.heights_m().max()) for each in surfaces))
+        painted = tuple(Painted(each.material, each.colour, each.flags) for each in surfaces)
+        now = self._placed(frame)
+        spec = replace(now.spec, temperature=TemperatureSpec("constant", value=300.0), sun=self._sun_at(frame))
+        return self._edited(
+            stages.made_in_memory(replace(now, spec=spec), shape, Cover((), painted, (), {}), self.materials)
+        )
+
+    def _placed(self, frame: "LocalFrame") -> Declared:
+        """Declarations of this scene at another place, under the same weather and air."""
+        now, own = self._declared, self.frame
+        assert own is not None
+        higher_m = frame.height_m - own.height_m
+        spec = replace(now.spec, surroundings_temperature=self.surroundings_temperature)
+        if spec.atmosphere is not None and spec.atmosphere.altitude_m is not None:
+            altitude_m = spec.atmosphere.altitude_m + higher_m
+            spec = replace(spec, atmosphere=replace(spec.atmosphere, altitude_m=altitude_m))
+        place_m = None if now.place_altitude_m is None else now.place_altitude_m + higher_m
+        weather = None if spec.weather is None else replace(
+            self._values["weather"], latitude_deg=frame.latitude_deg, longitude_deg=frame.longitude_deg
+        )  # fmt: skip
+        return replace(now, spec=spec, place_altitude_m=place_m, given_weather=weather, given_air=self.air)
+
+    def _sun_at(self, frame: "LocalFrame") -> SunSpec | None:
+        """The sun that shines on this scene, as seen from another frame."""
+        if self.sun is None or self.spec.weather is None or not self.temperature_state.weather_driven:
+            return self.sun
+        weather = replace(self._values["weather"], latitude_deg=frame.latitude_deg, longitude_deg=frame.longitude_deg)
+        azimuth, elevation = map(float, weather.sun(self.time))
+        return SunSpec(elevation, azimuth)
 
     def with_true_temperature(self) -> "Scene":
         """Return this scene at the true temperatures of its terrain: those of [truth], or of the heat balance without.

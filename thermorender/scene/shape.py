@@ -89,7 +89,7 @@ def shape_of(files: SceneFiles, placements: Sequence[Placement], held: Held, whe
         with_texel_per_face(surface) if surface.instances is None and number < balanced else surface
         for number, surface in enumerate(static)
     ]
-    near = [surface if surface.far else evened(surface) for surface in finer]
+    near = [surface if surface.on_round_earth else evened(surface) for surface in finer]
     for number, surface in enumerate(near):
         if surface.far:
             near[number] = stitched(surface, near[:number])

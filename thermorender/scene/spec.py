@@ -20,6 +20,7 @@ from thermorender.physics.geodesy import FARTHEST_M
 from thermorender.scene.crowns import DENSITIES, LEAF_M
 from thermorender.scene.meshes.axes import Axes
 from thermorender.scene.raster import FORMATS, files_of
+from thermorender.scene.sources import rasters_of
 from thermorender.scene.surface import scene_kelvin
 from thermorender.schema import (
     Where,
@@ -175,12 +176,39 @@ def far_grounds(value: Any, where: Where) -> "tuple[FarSpec, ...]":
     return tuple(read(FarSpec, item, replace(where, key=f"{where.key} {n}")) for n, item in enumerate(value, 1))
 
 
+def rasters_inside(value: Any, where: Where) -> Path:
+    """Read the name of a folder of rasters in the scene's folder, or of one raster of any size; return its Path."""
+    folder = Path(os.path.realpath((where.folder or Path()) / text(value, where)))
+    if not folder.is_dir():
+        path = file_inside(value, where)
+        if path.suffix.lower() not in FORMATS:
+            where.refuse(value, f"a folder of rasters, or a raster that contains its pixels: {', '.join(FORMATS)}")
+        return path
+    if where.folder is not None and not inside(folder, where.folder):
+        where.refuse(value, "a folder inside the scene's folder")
+    for path in rasters_of(folder):
+        if not inside(path, folder):
+            where.refuse(value, f"a folder that holds its files themselves; {path.name} is a link to another place")
+    return folder
+
+
+@dataclass(frozen=True)
+class TilesSpec:
+    """Ground of any size, read in tiles: folders of rasters, or single ones."""
+
+    elevation: Path = key(rasters_inside)
+    orthophoto: Path | None = key(rasters_inside, None)
+    classes: Path | None = key(rasters_inside, None)
+
+
 @dataclass(frozen=True)
 class TerrainSpec:
-    """Ground of the scene: an elevation raster with an orthophoto, or one textured mesh; and far ground around it."""
+    """Ground of the scene: an elevation raster with an orthophoto, one textured mesh, or tiles; and far ground around
+    the first two."""
 
     elevation: Path | None = key(raster_inside, None)
     mesh: Path | None = key(file_inside, None)
+    tiles: TilesSpec | None = key(table(TilesSpec), None)
     orthophoto: Path | None = key(raster_inside, None)
     height_reference: str = key(choice("ellipsoid", "geoid"), "ellipsoid")
     geoid_undulation_m: float | None = key(number(), None)
@@ -199,7 +227,11 @@ class TerrainSpec:
 
     def check(self, where: Where, given: Mapping[str, Any]) -> None:
         """Refuse none or two kinds of ground, and keys of the other kind."""
-        _of_mesh_file(where, given, where.exactly_one(given, ("elevation", "mesh")) == "mesh", "mesh")
+        kind = where.exactly_one(given, ("elevation", "mesh", "tiles"))
+        _of_mesh_file(where, given, kind == "mesh", "mesh")
+        for name in ("orthophoto", "fill", "far"):
+            if self.tiles and name in given:
+                raise where.error(f"terrain.{name} is given, and terrain.tiles has all of the ground; leave it out")
         if self.mesh and self.fill:
             raise where.error("terrain.fill fills islands of an elevation raster, and this is a mesh; leave it out")
         if self.mesh and self.orthophoto:
@@ -541,7 +573,9 @@ class SceneSpec:
                 "emissivity.known lies on a map, and this mesh has no place on it; add [frame] with latitude_deg, "
                 "longitude_deg and height_m, or give the materials of its parts in [[surface]]"
             )
-        if self.emissivity.source == "classes" and not (self.terrain.mesh or self.emissivity.raster):
+        self._check_tiles(where)
+        stated = self.terrain.mesh or self.emissivity.raster or self.terrain.tiles
+        if self.emissivity.source == "classes" and not stated:
             raise where.error("emissivity.raster is missing; source='classes' needs it")
         if any(one.classes for one in self.terrain.far) and self.emissivity.source not in ("classes", "learned"):
             raise where.error(
@@ -560,6 +594,29 @@ class SceneSpec:
                 "terrain.far lies on a map, and this mesh has no place on it; add [frame] with latitude_deg, "
                 "longitude_deg and height_m"
             )
+
+    def _check_tiles(self, where: Where) -> None:
+        """Refuse what tiles do not have yet, and classes without names."""
+        tiles = self.terrain.tiles
+        if tiles is None:
+            return
+        if (self.emissivity.source == "classes") != bool(tiles.classes):
+            raise where.error(
+                "terrain.tiles.classes and emissivity.source='classes' belong together; give both, with the materials "
+                "in [emissivity.classes], or none"
+            )
+        refused = {
+            "emissivity.raster": self.emissivity.raster,
+            "emissivity.source='learned'": self.emissivity.source == "learned",
+            "temperature.raster": self.temperature.raster, "temperature.brightness": self.temperature.brightness,
+            "temperature.trained": self.temperature.trained, "weather.albedo": self.weather and self.weather.albedo,
+            "[[object]]": self.objects, "[truth]": self.truth_temperature,
+        }  # fmt: skip
+        for name, given in refused.items():
+            if given:
+                raise where.error(
+                    f"{name} is not supported on terrain.tiles; leave it out, or cut a scene of one raster"
+                )
 
 
 def read_scene(folder: Path | str) -> SceneSpec:

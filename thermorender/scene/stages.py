@@ -45,6 +45,7 @@ from thermorender.scene.surface import Surface
 from thermorender.scene.temperature_state import Available, TemperatureState
 from thermorender.scene.terrain_temperature import Follows, TemperatureInputs, Temperatures, follows, temperatures
 from thermorender.scene.tracks import TrackedObject
+from thermorender.scene.world import FineGround
 from thermorender.sensor.camera import Camera
 
 if TYPE_CHECKING:
@@ -125,9 +126,9 @@ def solved_count(shape: Shape) -> int:
     return len(shape.ground) + shape.balanced
 
 
-def ground(shape: Shape) -> Ground:
+def ground(shape: Shape, files: SceneFiles | None) -> Ground:
     """Return a callable (east, north) → local height of the terrain [m], NaN off it."""
-    return Ground(shape.ground)
+    return Ground(shape.ground) if files is None or files.world is None else FineGround(files.world)
 
 
 def made_in_memory(declared: Declared, shape: Shape, cover: Cover, materials: tuple[Material, ...]) -> Declared:

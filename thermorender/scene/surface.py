@@ -51,6 +51,9 @@ class Surface:
     # Heat that enters its sheet from within, of an object whose heat balance is solved [W m⁻²]
     inner_w_m2: float = 0.0
     far: bool = False  # Coarser ground around the scene, as of [terrain] far
+    # (F,) uint32 numbers by which rays from the faces are drawn; None: those of the faces in the scene
+    seeds: NDArray[np.uint32] | None = None
+    joined: bool = False  # Ground whose border to other joined ground is no edge of anything
 
     def __post_init__(self) -> None:
         """Make the arrays read-only: a scene does not change, and what follows from them must not become stale."""
@@ -59,12 +62,17 @@ class Surface:
             values.flags.writeable = False
             object.__setattr__(self, name, values)
 
+    @property
+    def on_round_earth(self) -> bool:
+        """Whether it follows the Earth's curvature and refraction."""
+        return self.far or self.joined
+
     def heights_m(self) -> NDArray[np.float64]:
         """Return the heights of the vertices above the level of the frame's origin, (V,) [m].
 
-        Far ground follows the Earth's curvature and refraction; within a scene the level is a plane.
+        Far ground and tiles follow the Earth's curvature and refraction; within a scene the level is a plane.
         """
-        if not self.far:
+        if not self.on_round_earth:
             return self.vertices[:, 2]
         return over_round_earth(self.vertices, EARTH_RADIUS_M)
 
@@ -79,6 +87,24 @@ class Surface:
         kelvin = f"{known.min():.1f}–{known.max():.1f} K" if known.size else "no temperature yet"
         what = f"{len(self.faces)} triangles" if self.instances is None else str(self.instances)
         return f"Surface({self.name!r}, {what}, {columns}×{rows} texels of {self.texel_m:.3g} m, {kelvin})"
+
+
+def bare(
+    name: str, vertices: NDArray[np.float64], faces: NDArray[np.int32], uv: NDArray[np.float32],
+    shape: tuple[int, ...], texel_m: float,
+) -> Surface:  # fmt: skip
+    """Return a Surface whose colour, material and temperature are placeholders without memory of their own."""
+    return Surface(
+        name=name,
+        vertices=vertices,
+        faces=faces,
+        uv=uv,
+        colour=np.broadcast_to(np.uint8(0), (*shape, 3)),
+        material=np.broadcast_to(np.uint8(0), shape),
+        temperature=np.broadcast_to(np.float32(np.nan), shape),
+        flags=np.full(shape, SURFACE, np.uint8),
+        texel_m=texel_m,
+    )
 
 
 def over_round_earth(points: ArrayLike, radius_m: float = MEAN_RADIUS_M) -> NDArray[np.float64]:

@@ -28,10 +28,7 @@ def read_elevation(path: Path, part: RasterWindow | None = None) -> tuple[NDArra
     grid = part.grid if part else grid_of(path)
     left, bottom, right, top = grid.bounds
     lon_lat(grid, np.array([left, right]), np.array([bottom, top]))
-    factor = _metres(path)
-    height = factor * read_band(path, _PLACEHOLDERS, part)
-    # ±3.4e38 and others.
-    height[~(np.abs(height) < 9000.0)] = np.nan
+    height = heights_in(path, part)
     if min(height.shape) < 2:
         raise ThermorenderError(f"{path} has {height.shape[0]}×{height.shape[1]} posts; terrain needs at least 2×2")
     if not np.isfinite(height).any():
@@ -39,6 +36,14 @@ def read_elevation(path: Path, part: RasterWindow | None = None) -> tuple[NDArra
             f"{path} has no valid height in it (all nodata, NaN or beyond ±9000 m); give another DEM"
         )
     return height, grid
+
+
+def heights_in(path: Path, part: RasterWindow | None = None) -> NDArray[np.float64]:
+    """Return the heights of an elevation raster, or of its window, (h, w) [m]; NaN where missing."""
+    height = _metres(path) * read_band(path, _PLACEHOLDERS, part)
+    # ±3.4e38 and others.
+    height[~(np.abs(height) < 9000.0)] = np.nan
+    return height
 
 
 def doubtful_zeros(path: Path, height: NDArray[np.floating]) -> tuple[str, ...]:

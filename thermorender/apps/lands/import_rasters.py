@@ -11,7 +11,7 @@ from thermorender.apps.lands.import_settings import ImportSettings
 from thermorender.errors import ThermorenderError
 from thermorender.numbers import parse_numbers
 from thermorender.physics.geodesy import FARTHEST_M
-from thermorender.scene.orthophoto import read_colour
+from thermorender.scene.orthophoto import read_colour, resampled
 from thermorender.scene.raster import Grid, bounds_in, describe, grid_of, lon_lat, onto, window_of
 from thermorender.scene.terrain import read_elevation
 
@@ -105,16 +105,7 @@ def _colours(
         rgb, target = _cut(rgb, grid, bounds)
         return rgb, _cut(valid, grid, bounds)[0], target
     resampling = "average" if step_m(crs, target) > 1.5 * texel else "bilinear"
-    if valid.all():
-        # In bytes, a third of the time.
-        shown = onto(valid.astype(np.uint8), grid, target, resampling) > 0
-        return np.where(shown[..., None], onto(rgb, grid, target, resampling), 0), shown, target
-    # Empty texels must not bleed into their neighbours: filter valid colour and its weight separately.
-    weight = np.nan_to_num(onto(valid.astype(np.float32), grid, target, resampling))
-    filtered = onto(rgb * valid[..., None].astype(np.float32), grid, target, resampling)
-    valid = weight > 0.5
-    mean = np.where(valid[..., None], filtered / np.maximum(weight, 1e-6)[..., None], 0.0)
-    return np.clip(np.rint(np.nan_to_num(mean)), 0, 255).astype(np.uint8), valid, target
+    return *resampled(rgb, valid, grid, target, resampling), target
 
 
 def map_crs(grid: Grid) -> Any:

@@ -45,6 +45,7 @@ InstantRendererT = TypeVar("InstantRendererT", bound="InstantRenderer")
 class InstantRenderer(Protocol):
     """What flights use of a `Renderer`, the renderer of one instant."""
 
+    follows_weather: bool
     scene: Scene
     seed: int
 
@@ -80,7 +81,7 @@ class TimedRenderer(Generic[InstantRendererT]):
         self, renderer: InstantRendererT, first_s: float, last_s: float, progress: "Progress | None" = None
     ) -> None:
         self.first, self._first_s, self._progress = renderer, first_s, progress
-        self._last_step = _steps(renderer.scene, last_s - first_s)
+        self._last_step = _steps(renderer.scene, last_s - first_s) if renderer.follows_weather else 0
         # At most two steps, since the memory of pixels reaches back over a change of the step.
         self._made: dict[int, InstantRendererT] = {}
         self._part: tuple[int, dict[int, Scene]] = (-1, {})

@@ -206,6 +206,7 @@ class FaceRays:
         if self._leaves is not None:
             found = np.concatenate([found, self._leaves.frames])
         self._faces = [self._mi.Float(aligned(found[:, k])) for k in range(4)]
+        self._seeds = _seeds(geometry)
         self._spots = self._mi.Float(aligned(contacts.points()))
         self._covered: tuple[Jit, ...] | None = None
 
@@ -253,8 +254,9 @@ class FaceRays:
         face, number = dr.gather(mi.UInt32, faces, index // self._rays), index % self._rays
         # One random shift per face decorrelates neighbours and keeps the even spread.
         key = dr.opaque(mi.UInt32, seed) * 2 + _SEED
+        own = face if self._seeds is None else dr.gather(mi.UInt32, self._seeds, face)
         # With the usual 4 rounds the shifts of successive faces are correlated; with 6 no test finds a correlation.
-        shifts = (*mi.sample_tea_32(face, key, 8), *mi.sample_tea_32(face, key + 1, 8))
+        shifts = (*mi.sample_tea_32(own, key, 8), *mi.sample_tea_32(own, key + 1, 8))
         base = (dr.gather(mi.UInt32, values, number) for values in self._base)
         u = [mi.Float(value ^ (shift >> 8)) * 2.0**-24 for value, shift in zip(base, shifts, strict=True)]
         # A chord of the unit disk across the slope, drawn by its length, and a place along it.
@@ -283,6 +285,17 @@ class FaceRays:
         level = dr.normalize(dr.select(dr.squared_norm(level) > 1e-12, level, mi.Vector3f(1.0, 0.0, 0.0)))
         towards = dr.normalize(along * dr.cross(normal, level) + across * level + out * normal)
         return mi.Point3f(point + lift), towards, mi.Point3f(point - lift), normal
+
+
+def _seeds(geometry: Geometry) -> Jit | None:
+    """The numbers by which the rays of each face are drawn, UInt32; None where those of the faces serve."""
+    if all(surface.seeds is None for surface in geometry.surfaces):
+        return None
+    found = np.arange(geometry.face_count, dtype=np.uint32)
+    for first, surface in zip(geometry.face_start, geometry.surfaces, strict=False):
+        if surface.seeds is not None:
+            found[first : first + len(surface.seeds)] = surface.seeds
+    return geometry.mi.UInt32(aligned(found, np.uint32))
 
 
 def _counted(

@@ -39,7 +39,7 @@ def traced(
 ) -> tuple[radiosity.Transport, str | None]:
     """Return (Transport as of `radiosity.trace`, reason why the cache was not used or None); under WORTH_RAYS it is not
     used."""
-    if geometry.face_count * rays < WORTH_RAYS:
+    if not geometry.kept or geometry.face_count * rays < WORTH_RAYS:
         return radiosity.trace(geometry, rays, progress, seed), None
     name = key(geometry, rays, seed)
     with phase("light read from the cache"):
@@ -60,6 +60,8 @@ def key(geometry: Geometry, rays: int, seed: int = 0) -> str:
     for surface in geometry.surfaces:
         for values in (surface.vertices, surface.faces):
             _feed(digest, values)
+        if surface.seeds is not None:
+            _feed(digest, surface.seeds)
         if surface.instances is not None:
             for each in fields(surface.instances):
                 # The size of leaves changes the stated error alone.

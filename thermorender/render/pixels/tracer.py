@@ -193,11 +193,18 @@ class Tracer:
             # Faces in strong light count as surfaces of their own: smaller than a pixel, they differ without an edge.
             number = dr.select(hit.strong, (hit.face * _HASH >> 27) + 1, 0)
             leaves = dr.select(hit.leaves > _SOME_LEAVES, 0.5, 0.0)
-            guides.append(mi.Float(hit.surface) + mi.Float(number) / 64.0 + leaves)
+            guides.append(self._body(hit) + mi.Float(number) / 64.0 + leaves)
         if self._soft and search:
             copies = dr.gather(mi.Float, self._copies, hit.surface, hit.valid) if self._copies is not None else 0.0
             guides.append(dr.select(hit.leaves > _SOME_LEAVES, 1.0, copies))
         return guides
+
+    def _body(self, hit: Hit) -> Jit:
+        """The surface of hits; tiles of one ground are one."""
+        joined = self._layers[0].geometry.joined
+        if joined is None:
+            return self._mi.Float(hit.surface)
+        return dr.gather(self._mi.Float, joined, hit.surface, hit.valid)
 
     def _refine_edges(
         self, image: NDArray[np.float32], step: NDArray[np.float32], copies: NDArray[np.bool_], thin: Rectangles,

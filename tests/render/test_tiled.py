@@ -1,0 +1,262 @@
+"""Tiled ground: frames equal those of one piece, whatever is cut, kept on disk or damaged there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rasterio import Affine
+from scipy.spatial.transform import Rotation
+
+import thermorender as tr
+from scenes import WEATHER, narrow, write_raster
+from thermorender.cache import cache_folder
+from thermorender.errors import ThermorenderError
+from thermorender.output.flight import FlightOptions
+from thermorender.render.renderer import Renderer
+from thermorender.render.tiled.cells import assembled
+from thermorender.render.tiled.squares import Squares
+from thermorender.render.tiled.tiled_renderer import TiledRenderer
+from thermorender.scene import world as worlds
+from thermorender.scene.georeference import place_of
+from thermorender.scene.raster import Grid
+from thermorender.scene.sources import Classes, Colours, Heights, rasters_of
+from thermorender.scene.tile_grid import Tile
+from thermorender.trajectory.path import Trajectory
+
+CORNER = 500000.0, 5780000.0
+MATERIALS = 'source = "material"\nmaterials = {grass_green = 296.0, sand_quartz = 300.0, soil_loam = 298.0}'
+
+
+def hills(size, step, seed=3):
+    """Heights of gentle hills, (n, n) [m]."""
+    x, y = np.meshgrid(*[np.arange(size) * step] * 2)
+    random = np.random.default_rng(seed)
+    found = np.zeros((size, size))
+    for wavelength in (90.0, 40.0, 17.0):
+        a, b, c = random.uniform(0.0, 2.0 * np.pi, 3)
+        found += (
+            0.03
+            * wavelength
+            * np.sin(2 * np.pi * (x * np.cos(c) + y * np.sin(c)) / wavelength + a)
+            * np.cos(2 * np.pi * y / wavelength + b)
+        )
+    return found
+
+
+@pytest.fixture
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def write_tiled(folder, size=129, step=1.0, texel=0.5, temperature=MATERIALS, extra=""):
+    """Write a scene of tiles: heights, colours and classes in pieces."""
+    for name in ("dem", "photo", "classes"):
+        (folder / name).mkdir(parents=True)
+    height, count = hills(size, step), round((size - 1) * step / texel)
+    random = np.random.default_rng(4)
+    # Posts are in the middle of pixels, at corners of texels.
+    corner = CORNER[0] - 0.5 * step, CORNER[1] + 0.5 * step
+    write_raster(folder / "dem" / "a.tif", height[None].astype(np.float32), step, corner=corner)
+    colour = random.integers(40, 200, (3, count, count)).astype(np.uint8)
+    block = np.kron(random.integers(1, 4, (count // 8, count // 8)), np.ones((8, 8))).astype(np.uint8)
+    half = count // 2
+    for number, (rows, columns) in enumerate([(slice(0, half), slice(0, half)), (slice(0, half), slice(half, None)),
+                                              (slice(half, None), slice(0, None))]):  # fmt: skip
+        there = CORNER[0] + columns.start * texel, CORNER[1] - rows.start * texel
+        write_raster(folder / "photo" / f"{number}.tif", colour[:, rows, columns], texel, corner=there,
+                     photometric="RGB")  # fmt: skip
+        write_raster(folder / "classes" / f"{number}.tif", block[None, rows, columns], texel, corner=there)
+    (folder / "scene.toml").write_text(
+        f"""[terrain.tiles]
+elevation = "dem"
+orthophoto = "photo"
+classes = "classes"
+[temperature]
+{temperature}
+[emissivity]
+source = "classes"
+[emissivity.classes]
+1 = "grass_green"
+2 = "sand_quartz"
+3 = "soil_loam"
+[surroundings]
+temperature = 285.0
+{extra or "[sky]" + chr(10) + "temperature = 255.0"}
+""",
+        encoding="utf-8",
+    )
+    return folder
+
+
+def renderer_of(folder, monkeypatch, texels=64, rows=4, **settings):
+    """A TiledRenderer of tiles of few texels."""
+    monkeypatch.setattr(worlds, "TEXELS", texels)
+    scene = narrow(tr.load_scene(folder))
+    assert scene.world.grid.texels == texels
+    return TiledRenderer(scene, rows=rows, **settings)
+
+
+def in_one_piece(renderer, pose):
+    """(Renderer of the same ground baked as one tile, in the frame of a pose's cell; the pose there)."""
+    world, (cell, own) = renderer.world, renderer.at(pose)
+    grid = world.grid
+    rows = renderer.squares.rows
+
+    class Whole(Squares):
+        world = property(lambda self: replace(
+            renderer.world, grid=replace(grid, texels=rows * grid.texels, cells=rows * grid.cells, levels=1)
+        ))  # fmt: skip
+
+    whole = Whole(renderer.scene, renderer.plan, 1)
+    tiles = {tile: each for tile, each in whole.bake(Tile(0, 0, 0), side=grid.side(0)).items() if each is not None}
+    baked = assembled(renderer.scene, renderer.plan, whole.world.grid, tiles, cell.scene.frame, 50.0)
+    return Renderer.of(baked), own
+
+
+VIEWS = [((0, 0, 40, 0, -90, 0), 1.0), ((0, -30, 30, 20, -45, 0), 1.0), ((-20, -50, 18, 10, -12, 0), 1.0)]
+
+
+@pytest.mark.parametrize("balanced", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_ground_in_tiles_looks_as_in_one_piece(tmp_path, monkeypatch, own_cache, balanced):
+    weather = 'source = "balance"', WEATHER.replace('"', "")
+    kind = {"temperature": weather[0], "extra": weather[1]} if balanced else {}
+    renderer = renderer_of(write_tiled(tmp_path / "scene", **kind), monkeypatch, quality="fast", edge_mk=np.inf)
+    for numbers, most_mk in VIEWS:
+        pose = renderer.scene.pose(*numbers)
+        one, own = in_one_piece(renderer, pose)
+        cut, whole = renderer.frame(pose), one.frame(own)
+        assert len(renderer.at(pose)[0].scene.surfaces) > 4
+        off = 1e3 * (cut.apparent_temperature - whole.apparent_temperature)
+        shown = np.isfinite(cut.truth["depth"])
+        np.testing.assert_array_equal(shown, np.isfinite(whole.truth["depth"]))
+        assert np.sqrt(np.mean(np.square(off[shown]))) < most_mk
+        assert np.abs(off[shown]).max() < 100.0
+
+
+def test_tiled_ground_looks_as_the_same_rasters_in_an_ordinary_scene(tmp_path, monkeypatch, own_cache):
+    folder = write_tiled(tmp_path / "scene")
+    plain = tmp_path / "plain"
+    plain.mkdir()
+    text = (folder / "scene.toml").read_text().replace("[terrain.tiles]", "[terrain]")
+    text = text.replace('"dem"', '"dem.tif"').replace('"photo"', '"photo.tif"').replace('classes = "classes"\n', "")
+    (plain / "scene.toml").write_text(text.replace('source = "classes"', 'source = "classes"\nraster = "classes.tif"'))
+    for name, kind in (("dem", Heights), ("photo", Colours), ("classes", Classes)):
+        source = kind(rasters_of(folder / name))
+        left, _, right, top = source.extent.bounds
+        step, count = source.extent.pixel, round((right - left) / source.extent.pixel)
+        grid = Grid(source.extent.crs, Affine(step, 0.0, left, 0.0, -step, top), count, count)
+        values = source.read(grid)
+        bands = np.moveaxis(values[0], -1, 0) if name == "photo" else values[None]
+        write_raster(plain / f"{name}.tif", bands.astype(np.float32) if name == "dem" else bands, step,
+                     corner=(left, top), **({"photometric": "RGB"} if name == "photo" else {}))  # fmt: skip
+    renderer = renderer_of(folder, monkeypatch, edge_mk=np.inf, rays=256)
+    scene = narrow(tr.load_scene(plain))
+    other = Renderer(scene, edge_mk=np.inf, rays=256)
+    map_of = place_of(renderer.scene.frame, renderer.scene.grid).to_map(np.zeros((1, 3)))
+    assert np.allclose(map_of, place_of(scene.frame, scene.grid).to_map(np.zeros((1, 3))), atol=1.5)
+    for numbers, _ in VIEWS[:2]:
+        one, two = renderer.frame(renderer.scene.pose(*numbers)), other.frame(scene.pose(*numbers))
+        # Frames of both scenes have their origins half a post apart; means are of the same ground.
+        budget = np.hypot(one.budget_mk["total"], two.budget_mk["total"])
+        assert 1e3 * abs(one.apparent_temperature.mean() - two.apparent_temperature.mean()) < 2.0 * budget
+
+
+def test_a_damaged_or_missing_tile_is_baked_again_to_the_same_frame(tmp_path, monkeypatch, own_cache):
+    folder = write_tiled(tmp_path / "scene")
+    renderer = renderer_of(folder, monkeypatch, quality="fast")
+    pose = renderer.scene.pose(*VIEWS[1][0])
+    first = renderer.frame(pose).radiance
+    needed = renderer.tiles(renderer.cell(pose))
+    stored = [cache_folder("tiles") / f"{renderer.store.name(tile)}.npz" for tile in needed if tile.level == 0]
+    assert len(stored) >= 4
+    before = {path.name: path.read_bytes() for path in cache_folder("tiles").glob("*.npz")}
+    stored[0].write_bytes(before[stored[0].name][:1000])
+    stored[1].write_bytes(before[stored[1].name][:-300] + bytes(300))
+    stored[2].unlink()
+    again = renderer_of(folder, monkeypatch, quality="fast")
+    np.testing.assert_array_equal(again.frame(pose).radiance, first)
+    assert {path.name: path.read_bytes() for path in cache_folder("tiles").glob("*.npz")} == before
+
+
+def test_tiles_on_disk_serve_again_and_are_not_baked(tmp_path, monkeypatch, own_cache):
+    folder = write_tiled(tmp_path / "scene")
+    renderer = renderer_of(folder, monkeypatch, quality="fast")
+    pose = renderer.scene.pose(*VIEWS[0][0])
+    first = renderer.frame(pose).radiance
+
+    def refuse(self, first, progress=None):
+        raise AssertionError("a stored tile is baked")
+
+    monkeypatch.setattr(Squares, "bake", refuse)
+    again = renderer_of(folder, monkeypatch, quality="fast")
+    np.testing.assert_array_equal(again.frame(pose).radiance, first)
+    # Another weather, material or setting needs other tiles.
+    other = renderer_of(folder, monkeypatch, quality="fast", rays=32)
+    with pytest.raises(AssertionError, match="is baked"):
+        other.frame(pose)
+
+
+def test_frames_state_pose_and_positions_in_the_frame_of_the_scene(tmp_path, monkeypatch, own_cache):
+    renderer = renderer_of(write_tiled(tmp_path / "scene"), monkeypatch, quality="fast")
+    scene = renderer.scene
+    pose = scene.pose(10.0, -12.0, 30.0, 30.0, -60.0, 0.0)
+    frame = renderer.frame(pose)
+    np.testing.assert_allclose(frame.pose, pose, atol=1e-9)
+    position, depth = frame.truth["position"], frame.truth["depth"]
+    shown = np.isfinite(depth)
+    along = (position[shown] - pose[:3, 3]) @ pose[:3, 2]
+    np.testing.assert_allclose(along, depth[shown], atol=2e-3)
+    ground = scene.ground(position[shown][:, 0].astype(float), position[shown][:, 1].astype(float))
+    np.testing.assert_allclose(position[shown][:, 2], ground, atol=5e-3)
+
+
+def test_a_flight_over_tiles_is_resumed_to_the_same_bytes(tmp_path, monkeypatch, own_cache):
+    renderer = renderer_of(write_tiled(tmp_path / "scene"), monkeypatch, quality="fast")
+    scene = renderer.scene
+    poses = [scene.pose(east, 0.0, 25.0, 90.0, -50.0, 0.0) for east in (-30.0, 30.0)]
+    turn = Rotation.from_matrix([each[:3, :3] for each in poses]).as_quat()[:, [3, 0, 1, 2]]
+    path = Trajectory([0.0, 2.0], [each[:3, 3] for each in poses], turn)
+    options = FlightOptions(rate_hz=3.0, products=("counts", "exr"))
+    tr.fly(renderer, path, tmp_path / "whole", options)
+    assert len({renderer.cell(scene.pose(east, 0.0, 25.0, 90.0, -50.0, 0.0)) for east in (-30.0, 0.0, 30.0)}) > 1
+
+    class Stop(Exception):
+        pass
+
+    def stop(done, total):
+        if done == 3:
+            raise Stop
+
+    with pytest.raises(Stop):
+        tr.fly(renderer, path, tmp_path / "again", options, progress=stop)
+    tr.fly(renderer_of(tmp_path / "scene", monkeypatch, quality="fast"), path, tmp_path / "again", options, resume=True)
+    for one in sorted((tmp_path / "whole").glob("frame_*")):
+        assert one.read_bytes() == (tmp_path / "again" / one.name).read_bytes(), one.name
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('orthophoto = "photo"\nclasses = "classes"\n', "", "belong together"),
+        ('elevation = "dem"', 'elevation = "nothing"', "does not exist"),
+        ('[terrain.tiles]', '[terrain]\nfill = true\n[terrain.tiles]', "fill"),
+        ("[surroundings]", '[[object]]\nname = "a"\nshape = "box"\nsize = [1, 1, 1]\nposition = [0, 0, 0]\n'
+         'temperature = 300\nmaterial = "paint_black"\n[surroundings]', "object"),
+    ],
+)  # fmt: skip
+def test_what_tiles_do_not_have_is_refused(tmp_path, own_cache, old, new, message):
+    path = write_tiled(tmp_path / "scene") / "scene.toml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises(ThermorenderError, match=message):
+        tr.load_scene(tmp_path / "scene")
+
+
+def test_a_link_out_of_the_folder_of_tiles_is_refused(tmp_path, own_cache):
+    folder = write_tiled(tmp_path / "scene")
+    (tmp_path / "other.tif").write_bytes((folder / "dem" / "a.tif").read_bytes())
+    (folder / "dem" / "b.tif").symlink_to(tmp_path / "other.tif")
+    with pytest.raises(ThermorenderError, match=r"b\.tif is a link"):
+        tr.load_scene(folder)

@@ -1,0 +1,74 @@
+"""A baked tile: its ground, its temperatures and the radiance that leaves it; a value of arrays, kept on disk."""
+
+import hashlib
+import os
+from contextlib import suppress
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender import formats
+from thermorender.cache import cache_folder
+from thermorender.errors import ThermorenderError
+from thermorender.physics.geodesy import LocalFrame
+from thermorender.scene.tile_grid import Tile
+
+# A file of another version is not used: increase this when what a tile holds changes.
+VERSION = 1
+
+
+@dataclass(frozen=True, eq=False)
+class BakedTile:
+    """A tile with its light, from the square that it was baked in. Texels include the rim of `tiles.APRON`."""
+
+    place: NDArray[np.float64]  # (3,) latitude, longitude [deg] and ellipsoid height [m] of the frame of its posts
+    posts: NDArray[np.float32]  # (n, n, 3) local positions of the posts [m]; NaN where there is no ground
+    material: NDArray[np.uint8]  # (h, w)
+    colour: NDArray[np.uint8]  # (h, w, 3)
+    flags: NDArray[np.uint8]  # (h, w)
+    temperature: NDArray[np.float32]  # (h, w) [K]
+    texels: NDArray[np.float32]  # (K, h, w) radiance by channel [W m⁻² sr⁻¹]
+    faces: NDArray[np.float32]  # (F, K) correction of each face [W m⁻² sr⁻¹]; (F, 0) where reflection is left out
+    face_error: NDArray[np.float32]  # (F,) mean square error of the light [(W m⁻² sr⁻¹)²]; (0,) likewise
+    errors_mk: NDArray[np.float64]  # (2,) solution and air of the square's light [mK]
+
+    @property
+    def frame(self) -> LocalFrame:
+        """The LocalFrame of its posts."""
+        return LocalFrame(*self.place.tolist())
+
+
+@dataclass(frozen=True)
+class TileStore:
+    """Baked tiles on disk, for all that depends on the same things."""
+
+    key: str  # Fingerprint of the scene, the ground, the settings and the versions
+
+    def name(self, tile: Tile) -> str:
+        """Return the name of a tile's file without its suffix."""
+        return hashlib.blake2b(f"{self.key} {tuple(tile)}".encode(), digest_size=20).hexdigest()
+
+    def load(self, tile: Tile) -> tuple[bool, BakedTile | None]:
+        """Return (whether an undamaged file of a tile is stored, the tile; None where it has no ground)."""
+        try:
+            path = cache_folder("tiles") / f"{self.name(tile)}.npz"
+        except RuntimeError:
+            return False, None
+        found = formats.read_arrays(path, (self.key, tuple(tile)))
+        if found is None:
+            return False, None
+        with suppress(OSError):
+            # The modification time records when a file was last used.
+            os.utime(path)
+        return True, BakedTile(**found) if found else None
+
+    def store(self, tile: Tile, baked: BakedTile | None) -> str | None:
+        """Store a tile, or that it has no ground; return None, or why that failed."""
+        arrays = {} if baked is None else {field.name: getattr(baked, field.name) for field in fields(baked)}
+        try:
+            path = cache_folder("tiles") / f"{self.name(tile)}.npz"
+            formats.write_arrays(path, (self.key, tuple(tile)), arrays)
+        except (OSError, RuntimeError, ThermorenderError) as error:
+            return f"baked tiles are not kept: {error}; set THERMORENDER_CACHE to a writable folder"
+        return None

@@ -1,0 +1,123 @@
+"""Baked tiles put together for the cameras of a cell: one baked scene in a frame of its own."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.physics.geodesy import LocalFrame
+from thermorender.render.baked import BakedScene
+from thermorender.render.geometry import Geometry
+from thermorender.render.loaded import Loaded
+from thermorender.render.plan import Plan
+from thermorender.render.reflection.device_tables import black_of
+from thermorender.render.tiled.baked_tile import BakedTile
+from thermorender.render.variant import activate
+from thermorender.scene.far_ground import raised_m
+from thermorender.scene.scene import Scene
+from thermorender.scene.surface import Surface
+from thermorender.scene.tile_grid import APRON, Tile, TileGrid
+
+_Floats = NDArray[np.float64]
+# Tiles that are farther from the camera than this many times its height above ground are far ground.
+_NEAR, _NEAR_M = 4.0, 500.0
+# Depth of the skirts of a tile beyond the relief along its edge, over the distance of posts.
+_DEEPER = 0.25
+
+
+def assembled(
+    scene: Scene, plan: Plan, grid: TileGrid, tiles: Mapping[Tile, BakedTile], frame: LocalFrame, above_m: float
+) -> BakedScene:
+    """Return the BakedScene of tiles in a frame; `above_m` is the cameras' height above ground [m]."""
+    surfaces, faces, errors = list[Surface](), list[NDArray[np.float32]](), list[NDArray[np.float32]]()
+    for tile, baked in tiles.items():
+        surface, of_face = _surface(tile, baked, grid, frame, above_m)
+        surfaces.append(surface)
+        if baked.faces.shape[1]:
+            faces.append(baked.faces[of_face])
+            errors.append(baked.face_error[of_face])
+    geometry = Geometry(activate(), surfaces)
+    warm = [limit(surface.temperature) for surface in surfaces for limit in (np.min, np.max)]
+    plan = replace(plan, coldest=float(min(warm)), warmest=float(max(warm)))
+    own = scene.of_tiles(surfaces, frame)
+    texels = tuple(
+        np.concatenate([each.texels[channel].ravel() for each in tiles.values()])
+        for channel in range(plan.spectrum.channels)
+    )
+    black = None
+    if plan.specular:
+        material = np.concatenate([surface.material.ravel() for surface in surfaces])
+        if plan.specular.number[material].any():
+            kelvin = np.concatenate([surface.temperature.ravel() for surface in surfaces])
+            black = black_of(plan, plan.specular.number, material, kelvin)
+    worst = np.max([each.errors_mk for each in tiles.values()], axis=0)
+    errors_mk = {"solution": float(worst[0]), "noise": 0.0, "faces": 0.0, "texels": 0.0}
+    if scene.air is not None:
+        errors_mk["air"] = float(worst[1])
+    return BakedScene(
+        own, plan, None, None, texels, np.concatenate(faces) if faces else None,
+        np.concatenate(errors) if errors else None, black, None, errors_mk, None, Loaded(geometry=geometry),
+    )  # fmt: skip
+
+
+def between(one: LocalFrame, other: LocalFrame) -> _Floats:
+    """Return the transform of positions in one frame to those in another, (4, 4)."""
+    turn = other.enu_from_ecef_rotation
+    found = np.eye(4)
+    found[:3, :3] = turn @ one.enu_from_ecef_rotation.T
+    found[:3, 3] = turn @ (one.origin_ecef - other.origin_ecef)
+    return found
+
+
+def _surface(
+    tile: Tile, baked: BakedTile, grid: TileGrid, frame: LocalFrame, above_m: float
+) -> tuple[Surface, NDArray[np.intp]]:
+    """(Surface of a tile with skirts, the face of the tile that each of its faces shows)."""
+    to = between(baked.frame, frame)
+    posts = baked.posts.astype(np.float64) @ to[:3, :3].T + to[:3, 3]
+    posts[..., 2] += raised_m(posts[..., 0], posts[..., 1])
+    known = np.isfinite(posts[..., 2])
+    count = grid.cells + 1
+    size = grid.texels + 2 * APRON
+    at = (APRON + np.arange(count) * (grid.texels / grid.cells)) / size
+    uv = np.stack(np.meshgrid(at, at), axis=-1).reshape(-1, 2)
+    index = np.arange(count * count).reshape(count, count)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    # A cell has ground where its four posts have: cells without are known by one post without at least.
+    whole = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
+    faces = np.stack([np.stack([a, c, d], axis=-1), np.stack([a, d, b], axis=-1)], axis=2)[whole].reshape(-1, 3)
+    number = np.where(whole, np.cumsum(whole.ravel()).reshape(whole.shape) - 1, -1)
+    step = grid.side(tile.level) / grid.cells
+    points, rows, of_face = [posts.reshape(-1, 3)], [faces], [np.arange(len(faces))]
+    first = count * count
+    edges = (
+        (index[:, 0], number[:, 0], 0), (index[-1], number[-1], 0),
+        (index[::-1, -1], number[::-1, -1], 1), (index[0, ::-1], number[0, ::-1], 1),
+    )  # fmt: skip
+    for edge, cell, second in edges:
+        up = posts.reshape(-1, 3)[edge]
+        low, height = up.copy(), up[np.isfinite(up[:, 2]), 2]
+        low[:, 2] -= _DEEPER * step + (float(np.ptp(height)) if height.size else 0.0)
+        there = cell >= 0
+        p, q = edge[:-1][there], edge[1:][there]
+        lower = first + np.arange(count)
+        p_low, q_low = lower[:-1][there], lower[1:][there]
+        rows.append(np.stack([np.stack([p, p_low, q_low], axis=-1), np.stack([p, q_low, q], axis=-1)], axis=1)
+                    .reshape(-1, 3))  # fmt: skip
+        of_face.append(np.repeat(2 * cell[there] + second, 2))
+        points.append(low)
+        first += count
+        uv = np.concatenate([uv, uv[edge]])
+    vertices, faces = np.nan_to_num(np.concatenate(points)), np.concatenate(rows).astype(np.int32)
+    used, faces = np.unique(faces, return_inverse=True)
+    corners = faces.reshape(-1, 3).astype(np.int32)
+    vertices, uv = vertices[used], uv[used]
+    low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
+    away = float(np.linalg.norm(np.maximum(np.maximum(low, -high), 0.0)))
+    surface = Surface(
+        name="terrain", vertices=vertices, faces=corners, uv=uv[corners].astype(np.float32), colour=baked.colour,
+        material=baked.material, temperature=baked.temperature, flags=baked.flags,
+        texel_m=grid.texel * 2.0**tile.level, far=away > max(_NEAR * above_m, _NEAR_M), joined=True,
+    )  # fmt: skip
+    return surface, np.concatenate(of_face)

@@ -1,0 +1,117 @@
+"""Squares of tiles baked, each as a scene of its own with the ground around that its light comes from."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.render.baked import BakedScene, Progress, bake
+from thermorender.render.geometry import Geometry
+from thermorender.render.heat.instants import solved_at
+from thermorender.render.plan import Plan
+from thermorender.render.tiled.baked_tile import BakedTile
+from thermorender.render.variant import activate
+from thermorender.scene.far_ground import raised_m
+from thermorender.scene.scene import Scene
+from thermorender.scene.tile_grid import APRON, Tile
+from thermorender.scene.world import World, WorldGround
+
+# Tiles along a side of a square that is baked at once.
+ROWS = 4
+# Reach of a square, in sides of a tile.
+_REACH = 0.5 * ROWS + 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Squares:
+    """The squares of a scene with a tiled ground, to be baked."""
+
+    scene: Scene  # With its overview, at known temperatures
+    plan: Plan  # Of all squares
+    rows: int = ROWS
+
+    @property
+    def world(self) -> World:
+        """The tiled ground."""
+        world = self.scene.world
+        assert world is not None
+        return world
+
+    def of(self, tile: Tile) -> Tile:
+        """Return the first tile of the square that a tile is in."""
+        return Tile(tile.level, tile.row - tile.row % self.rows, tile.column - tile.column % self.rows)
+
+    def bake(
+        self, first: Tile, progress: Progress | None = None, side: float | None = None
+    ) -> dict[Tile, BakedTile | None]:
+        """Return the tiles of the square from a tile on; None where there is no ground. Rays begin as far from the
+        ground as those of squares of tiles of this `side` [m], by default their own."""
+        every = [Tile(first.level, first.row + i, first.column + j) for i in range(self.rows) for j in range(self.rows)]
+        ground = self.world.square(first, self.rows)
+        if ground is None:
+            return dict.fromkeys(every)
+        own = self.scene.on_ground(ground)
+        geometry = Geometry(activate(), own.surfaces, reach=_REACH * (side or self.world.grid.side(first.level)))
+        # The light of a square is kept with its tiles.
+        geometry.kept = False
+        if not own.temperature_state.solved:
+            assert own.time is not None
+            own = solved_at(own, [own.time], geometry, progress)[0]
+        warm = np.array([limit(each.temperature) for each in own.surfaces for limit in (np.min, np.max)])
+        plan = replace(self.plan, coldest=min(self.plan.coldest, float(warm.min())),
+                       warmest=max(self.plan.warmest, float(warm.max())))  # fmt: skip
+        return dict(self._cut(bake(own, plan, geometry, progress=progress), ground, first))
+
+    def _cut(self, baked: BakedScene, ground: WorldGround, first: Tile) -> Iterator[tuple[Tile, BakedTile | None]]:
+        """Yield the tiles of a baked square."""
+        grid, surface = self.world.grid, baked.scene.surfaces[0]
+        around = -(-APRON * grid.cells // grid.texels)
+        whole, count = ground.whole, surface.material.size
+        number = np.where(whole, np.cumsum(whole.ravel()).reshape(whole.shape) - 1, -1)
+        texels = [each[:count].reshape(surface.material.shape) for each in baked.texels]
+        per_mk, errors = baked.plan.radiance_per_mk, baked.errors_mk
+        within = (errors["faces"] * per_mk) ** 2
+        kept = np.array([errors["solution"], errors.get("air", 0.0)])
+        place = np.array([ground.frame.latitude_deg, ground.frame.longitude_deg, ground.frame.height_m])
+        vertices = surface.vertices.copy()
+        # How refraction shows a post depends on where the camera is.
+        vertices[:, 2] -= raised_m(vertices[:, 0], vertices[:, 1])
+        posts = vertices.reshape(whole.shape[0] + 1, whole.shape[1] + 1, 3)
+        for i in range(self.rows):
+            for j in range(self.rows):
+                tile = Tile(first.level, first.row + i, first.column + j)
+                row, column = around + i * grid.cells, around + j * grid.cells
+                cells = (slice(row, row + grid.cells), slice(column, column + grid.cells))
+                if not whole[cells].any():
+                    yield tile, None
+                    continue
+                own = number[cells][whole[cells]]
+                face = (2 * own[:, None] + np.arange(2)).ravel()
+                part = tuple(slice(k * grid.texels, (k + 1) * grid.texels + 2 * APRON) for k in (i, j))
+                corner = posts[row : row + grid.cells + 1, column : column + grid.cells + 1]
+                lit = baked.faces is not None
+                yield (
+                    tile,
+                    BakedTile(
+                        place,
+                        _without(corner, whole[cells]).astype(np.float32),
+                        surface.material[part],
+                        surface.colour[part],
+                        surface.flags[part],
+                        surface.temperature[part],
+                        np.stack([each[part] for each in texels]),
+                        baked.faces[face] if baked.faces is not None else np.zeros((len(face), 0), np.float32),
+                        baked.face_error[face] + np.float32(within)
+                        if lit and baked.face_error is not None
+                        else np.zeros(0, np.float32),
+                        kept,
+                    ),
+                )
+
+
+def _without(posts: NDArray[np.float64], whole: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Posts with NaN where no cell has ground."""
+    padded = np.pad(whole, 1)
+    used = padded[1:, 1:] | padded[1:, :-1] | padded[:-1, 1:] | padded[:-1, :-1]
+    return np.where(used[..., None], posts, np.nan)

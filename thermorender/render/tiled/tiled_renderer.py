@@ -1,0 +1,249 @@
+"""The renderer of a tiled ground: a renderer for each cell of cameras, of the tiles that it needs."""
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from thermorender.errors import ThermorenderError
+from thermorender.progress import interactive
+from thermorender.render.baked import Progress
+from thermorender.render.plan import make_plan
+from thermorender.render.renderer import Renderer
+from thermorender.render.tiled.baked_tile import VERSION, BakedTile, TileStore
+from thermorender.render.tiled.cells import assembled, between
+from thermorender.render.tiled.squares import ROWS, Squares
+from thermorender.render.view import View
+from thermorender.scene.georeference import place_of
+from thermorender.scene.scene import Scene
+from thermorender.scene.tile_grid import Cell, Tile, cell_of
+from thermorender.sensor.camera import Camera
+from thermorender.trajectory.rotations import checked_pose
+from thermorender.versions import versions
+
+if TYPE_CHECKING:
+    from thermorender.render.dynamic import Objects
+    from thermorender.render.pixels.parts import PixelParts
+
+# Renderers of cells in memory: the pixels of a detector remember the cell before.
+_CELLS_KEPT = 2
+# Temperatures of tiles beyond those of the overview, for which spectral nodes are chosen [K].
+_WIDER_K = 15.0
+
+
+class TiledRenderer(Renderer):
+    """Renders frames of a scene with a tiled ground; arguments and methods are those of `Renderer`.
+
+    The temperatures of tiles are those of the scene's instant. `hits`, `faces`, `baked` and what follows from them are
+    of the overview.
+    """
+
+    follows_weather = False
+
+    def __init__(
+        self, scene: Scene, quality: Literal["fast", "standard", "high"] = "standard", samples: int | None = None,
+        taps: int | None = None, edge_mk: float | None = None, rays: int | None = None, tolerance_mk: float = 5.0,
+        seed: int = 0, device: Literal["auto", "cpu", "cuda"] = "auto", progress: Progress | None = None,
+        rows: int = ROWS,
+    ) -> None:  # fmt: skip
+        if scene.world is None:
+            raise ThermorenderError(f"{scene.where}: the scene has no terrain.tiles; give it to Renderer")
+        self._given = (scene, quality, samples, taps, edge_mk, rays, tolerance_mk, seed, device, None, rows)
+        super().__init__(scene, quality, samples, taps, edge_mk, rays, tolerance_mk, seed, device, progress)
+        self.world, sampling = scene.world, self.plan.sampling
+        self.plan = make_plan(_wider(self.scene), sampling)
+        key = (VERSION, scene.digest(), self.world.digest(), sampling, rows, self._geometry.mi.variant(), versions())
+        self.store = TileStore(repr(key))
+        self.squares = Squares(self.scene, self.plan, rows)
+        self._cells: OrderedDict[Cell, tuple[Renderer, NDArray[np.float64]]] = OrderedDict()
+        # Tiles of the cell that was made last.
+        self._loaded: dict[Tile, BakedTile] = {}
+        self._note: str | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return TiledRenderer, self._given
+
+    def __repr__(self) -> str:
+        name, camera = self.scene.name, self.scene.camera.name
+        return f"TiledRenderer({name!r}, {camera}, {self.plan.nodes} nodes, seed {self.seed})"
+
+    @cached_property
+    def _half(self) -> tuple[float, float]:
+        """Largest slopes of rays of a picture, across and along."""
+        camera = self.scene.camera
+        corner = camera.directions(np.array([[0.0, 0.0], [camera.width, 0.0], [0.0, camera.height],
+                                             [camera.width, camera.height]]))  # fmt: skip
+        across, along = np.abs(corner).max(axis=0).tolist()
+        return across, along
+
+    def cell(self, pose: ArrayLike) -> Cell:
+        """Return the Cell of a pose in the scene's frame, on the map."""
+        matrix = checked_pose(pose)
+        frame, place = self.scene.frame, place_of(self.scene.frame, self.scene.grid)
+        assert frame is not None and place is not None
+        x, y = place.to_map(matrix[None, :3, 3])
+        height = float(frame.geodetic_from_enu(matrix[:3, 3])[2])
+        ground = self.ground_m(float(x[0]), float(y[0]))
+        return cell_of(np.array([x[0], y[0], height]), matrix[:3, :3], height - ground, self._half)
+
+    def ground_m(self, x: float, y: float) -> float:
+        """Return the height of the ground at a place on the map [m above the ellipsoid], or the lowest."""
+        longitude, latitude = self._lon_lat(x, y)
+        frame = self.scene.frame
+        assert frame is not None
+        low = float(np.nanmin(self.world.relief))
+        east, north, _ = frame.enu_from_geodetic(latitude, longitude, low)
+        up = float(self.scene.ground(east, north))
+        return low if up != up else float(frame.geodetic_from_enu(np.array([east, north, up]))[2])
+
+    def tiles(self, cell: Cell) -> list[Tile]:
+        """Return the tiles that a cell needs, in a fixed order."""
+        slope, world = 1.0 / self.scene.camera.focal_length_px, self.world
+        return sorted(world.grid.chosen(cell, slope, world.between, world.within))
+
+    def with_light(self, tiles: list[Tile]) -> dict[Tile, BakedTile]:
+        """Return tiles with their light, from the disk or baked now; those without ground are left out."""
+        found, missing = dict[Tile, BakedTile | None](), list[Tile]()
+        for tile in tiles:
+            known = self._loaded.get(tile)
+            stored, known = self.store.load(tile) if known is None else (True, known)
+            if stored:
+                found[tile] = known
+            else:
+                missing.append(tile)
+        squares = sorted({self.squares.of(tile) for tile in missing})
+        with interactive(self._progress) as report:
+            for number, first in enumerate(squares):
+                if report:
+                    report(f"baking tiles: square {number + 1} of {len(squares)}", number / len(squares))
+                for tile, baked in self.squares.bake(first).items():
+                    self._note = self.store.store(tile, baked) or self._note
+                    if tile in tiles:
+                        found[tile] = baked
+        self._loaded = {tile: baked for tile, baked in sorted(found.items()) if baked is not None}
+        return self._loaded
+
+    def at(self, pose: ArrayLike) -> tuple[Renderer, NDArray[np.float64]]:
+        """Return (the Renderer of the cell of a pose, the pose in its frame)."""
+        cell, matrix = self.cell(pose), checked_pose(pose)
+        if cell not in self._cells:
+            while len(self._cells) >= _CELLS_KEPT:
+                self._cells.popitem(last=False)
+            self._cells[cell] = self._made(cell)
+        self._cells.move_to_end(cell)
+        renderer, to = self._cells[cell]
+        return renderer, to @ matrix
+
+    def _made(self, cell: Cell) -> tuple[Renderer, NDArray[np.float64]]:
+        """(Renderer of a cell, transform from the scene's frame to its own)."""
+        own = self.scene.frame
+        assert own is not None
+        x, y, height = (0.5 * (np.array(cell.low) + cell.high)).tolist()
+        longitude, latitude = self._lon_lat(x, y)
+        frame = type(own)(latitude, longitude, own.height_m)
+        above_m = height - self.ground_m(x, y)
+        tiles = self.with_light(self.tiles(cell))
+        if not tiles:
+            raise ThermorenderError(
+                f"{self.scene.where}: terrain.tiles has no ground around the camera; give a pose over it"
+            )
+        baked = assembled(self.scene, self.plan, self.world.grid, tiles, frame, max(above_m, 0.0))
+        return Renderer.of(baked, self.seed), between(own, frame)
+
+    def _lon_lat(self, x: float, y: float) -> tuple[float, float]:
+        from thermorender.scene.raster import lon_lat
+
+        longitude, latitude = lon_lat(self.world.grid.posts(self.world.root), np.array([x]), np.array([y]))
+        return float(longitude[0]), float(latitude[0])
+
+    @property
+    def cache_note(self) -> str | None:
+        """Why baked tiles could not be kept on disk."""
+        return self._note
+
+    def visible(
+        self, pose: ArrayLike, camera: Camera | None = None, time_s: float = 0.0, objects: "Objects | None" = None
+    ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+        """Return the orthophoto seen from `pose`, as of `Renderer.visible`."""
+        renderer, own = self.at(pose)
+        return renderer.visible(own, camera, time_s, objects)
+
+    def sky(
+        self, pose: ArrayLike, camera: Camera | None = None, time_s: float = 0.0, objects: "Objects | None" = None
+    ) -> NDArray[np.bool_]:
+        """Return where a pixel's middle is above the horizon without a surface, as of `Renderer.sky`."""
+        renderer, own = self.at(pose)
+        return renderer.sky(own, camera, time_s, objects)
+
+    def depth(self, pose: ArrayLike, camera: Camera | None = None) -> NDArray[np.float32]:
+        """Return the depth along the axis, as of `Renderer.depth`."""
+        renderer, own = self.at(pose)
+        return renderer.depth(own, camera)
+
+    def cast_only(self, pose: ArrayLike, rays: Sequence[Sequence[Any]]) -> None:
+        """Cast rays from `rays` and do nothing else, as of `Renderer.cast_only`."""
+        renderer, own = self.at(pose)
+        renderer.cast_only(own, rays)
+
+    def parts_at(
+        self, pose: ArrayLike, pixels: ArrayLike, time_s: float = 0.0, objects: "Objects | None" = None,
+        camera: Camera | None = None,
+    ) -> "list[PixelParts]":  # fmt: skip
+        """Refuse what needs the rays between surfaces, which tiles do not keep."""
+        raise _unsupported(self.scene, "the parts of a pixel's radiance need")
+
+    def texels(self, pose: ArrayLike, time_s: float = 0.0, objects: "Objects | None" = None) -> NDArray[np.int64]:
+        """Refuse numbers of texels, which differ from cell to cell."""
+        raise _unsupported(self.scene, "numbers of texels need")
+
+    def pictured(
+        self, values: NDArray[np.float32], pose: ArrayLike, time_s: float = 0.0, objects: "Objects | None" = None
+    ) -> NDArray[np.float32]:
+        """Refuse radiances given to texels, whose numbers differ from cell to cell."""
+        raise _unsupported(self.scene, "radiances of texels need")
+
+    def solved_for(self, scene: Scene, progress: Progress | None = None) -> Renderer:
+        """Refuse an edited scene, whose tiles are to be baked again."""
+        raise _unsupported(self.scene, "an edit without new rays needs")
+
+    def preview_for(self, scene: Scene, progress: Progress | None = None) -> Renderer:
+        """Refuse an edited scene, as `solved_for`."""
+        raise _unsupported(self.scene, "a preview of an edit needs")
+
+    def _view(
+        self, pose: ArrayLike, time_s: float = 0.0, objects: "Objects | None" = None, camera: Camera | None = None,
+        lit_s: float | None = None, lit_objects: "Objects | None" = None,
+    ) -> View:  # fmt: skip
+        renderer, own = self.at(pose)
+        view = renderer._view(own, time_s, objects, camera, lit_s, lit_objects)
+        frame, there = self.scene.frame, renderer.scene.frame
+        assert frame is not None and there is not None
+        return replace(view, to_scene=between(there, frame))
+
+
+def renderer_of(scene: Scene, **settings: Any) -> Renderer:
+    """Return the Renderer of a scene, a TiledRenderer where its ground is tiled; settings as of Renderer."""
+    return Renderer(scene, **settings) if scene.world is None else TiledRenderer(scene, **settings)
+
+
+def _unsupported(scene: Scene, what: str) -> ThermorenderError:
+    return ThermorenderError(
+        f"{scene.where}: {what} a scene of one raster, and this one has terrain.tiles; cut a part out of its rasters "
+        "with `thermorender import-terrain --around`"
+    )
+
+
+def _wider(scene: Scene) -> Scene:
+    """A scene whose terrain has temperatures beyond its own, as tiles may."""
+    first, *rest = scene.surfaces
+    kelvin = first.temperature.copy()
+    low, high = (limit([limit(each.temperature) for each in scene.surfaces]) for limit in (np.min, np.max))
+    kelvin.flat[0], kelvin.flat[-1] = low - _WIDER_K, high + _WIDER_K
+    if scene.temperature_state.source is None:
+        return scene.with_surfaces([replace(first, temperature=kelvin), *rest])
+    assert scene.time is not None
+    return scene.with_solved_temperatures(scene.time, [kelvin, *(each.temperature for each in rest)])
