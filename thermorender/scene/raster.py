@@ -182,9 +182,9 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
 
 
-def files_of(path: Path) -> list[str]:
+def files_of(path: Path, any_size: bool = False) -> list[str]:
     """Return the files a raster is read from: itself and those that GDAL finds beside it."""
-    with opened(path) as dataset:
+    with opened(path, any_size) as dataset:
         return list(dataset.files)
 
 

@@ -77,7 +77,7 @@ def import_terrain(
     cloud, height, height_grid, notes, square = _read_heights(elevation, settings)
     stated = settings.height_reference is not None or has_vertical_datum(height_grid.crs)
     reference = settings.height_reference or ("geoid" if stated else "ellipsoid")
-    day = _weather(settings.weather, settings.time, height, height_grid)
+    day = weather_table(settings.weather, settings.time, height, height_grid)
     crs = map_crs(height_grid)
     bounds = square or bounds_in(crs, height_grid)
     picture = None
@@ -114,8 +114,8 @@ def import_terrain(
                "height_reference": reference, "geoid_undulation_m": settings.geoid_undulation_m,
                "fill": settings.fill or None}  # fmt: skip
     tables: dict[str, Any] = {"title": Path(folder).resolve().name, "terrain": terrain}
-    tables |= _sources(picture is not None, day, settings, known is not None or shapes is not None)
-    flight_m, flight = _flight(bounds, texel_m)
+    tables |= source_tables(picture is not None, day, settings, known is not None or shapes is not None)
+    flight_m, flight = flight_text(bounds, texel_m)
     with atomic_folder(folder) as part:
         if solid is not None:
             tables = write_solid(part, solid, tables, GROUND_K if day is None else None)
@@ -127,7 +127,7 @@ def import_terrain(
             placeholder = picture is not None and day is None
             tables["terrain"] = _with_far(part, far, tables["terrain"], reference, settings, placeholder)
         if settings.weather is not None:
-            shutil.copyfile(settings.weather, part / _copied(settings.weather))
+            shutil.copyfile(settings.weather, part / weather_name(settings.weather))
         if shapes is not None:
             write_json(part / _KNOWN, shapes)
         elif known is not None:
@@ -234,7 +234,9 @@ def _read_heights(
     return None, height, grid, tuple(doubtful_zeros(path, height)), bounds
 
 
-def _weather(path: Path | None, time: str | None, height: NDArray[np.float64], grid: Grid) -> dict[str, Any] | None:
+def weather_table(
+    path: Path | None, time: str | None, height: NDArray[np.float64], grid: Grid
+) -> dict[str, Any] | None:
     """The table [weather] of a file and an instant, both tried at the terrain's place; None without a file."""
     if path is None:
         if time is not None:
@@ -247,15 +249,17 @@ def _weather(path: Path | None, time: str | None, height: NDArray[np.float64], g
     latitude, longitude = middle(grid)
     spec = WeatherSpec(when, epw=Path(path)) if kind == "epw" else WeatherSpec(when, file=Path(path))
     declared_weather(spec, latitude, longitude, float(np.nanmedian(height)))
-    return {"time": utc_text(when), kind: _copied(path)}
+    return {"time": utc_text(when), kind: weather_name(path)}
 
 
-def _copied(weather: Path) -> str:
+def weather_name(weather: Path) -> str:
     """Name of a weather file in the scene's folder."""
     return "weather" + Path(weather).suffix
 
 
-def _sources(pictured: bool, weather: dict[str, Any] | None, settings: ImportSettings, known: bool) -> dict[str, Any]:
+def source_tables(
+    pictured: bool, weather: dict[str, Any] | None, settings: ImportSettings, known: bool
+) -> dict[str, Any]:
     """The scene file's tables of temperatures, materials, weather, sky and camera."""
     found: dict[str, Any] = {"source": "material", "material": settings.material}
     if pictured and (weather is not None or known):
@@ -308,7 +312,7 @@ def _colour_shares(picture: Picture | None) -> dict[str, float | None]:
     }
 
 
-def _flight(bounds: Bounds, texel_m: float) -> tuple[float, str]:
+def flight_text(bounds: Bounds, texel_m: float) -> tuple[float, str]:
     """(Height above the ground [m], text of flight.csv): along the middle, looking down, a pixel as wide as a texel.
 
     The flight is lower where the terrain would not fill half of the picture.

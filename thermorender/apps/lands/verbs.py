@@ -28,8 +28,12 @@ def import_terrain(
     three_d: Annotated[
         bool, typer.Option("--three-d", help="Make a mesh: walls below the roofs, porous trees; posts of 1 m or less.")
     ] = False,
+    tiles: Annotated[
+        bool, typer.Option("--tiles", help="Leave the rasters as they are, of any size or in folders; flights read "
+                           "the tiles that they see.")
+    ] = False,
     solids: ThreeD,
-) -> None:
+) -> None:  # fmt: skip
     """Make a scene from an elevation model and an orthophoto, or from an elevation model alone."""
     from thermorender import load_camera
     from thermorender.apps.lands.import_terrain import import_terrain as run
@@ -38,6 +42,9 @@ def import_terrain(
         raise ThermorenderError(
             "--ground, --wall and --building-class are for scenes in three dimensions; give --three-d too"
         )
+    if tiles:
+        _of_tiles(elevation, orthophoto, output, settings, three_d)
+        return
     summary = run(elevation, orthophoto, output, settings, solids if three_d else None)
     typer.echo(f"{output}: {summary['posts'][1]}×{summary['posts'][0]} posts of {summary['post_m']:.3g} m, "
                f"{summary['texels'][1]}×{summary['texels'][0]} texels of {summary['texel_m']:.3g} m; "
@@ -60,6 +67,34 @@ def import_terrain(
         f"flight.csv flies along the middle, {summary['flight_m']:.0f} m above the ground; a texel covers one pixel of "
         f"the {defaults.CAMERA} from {summary['texel_m'] * load_camera(defaults.CAMERA).focal_length_px:.0f} m"
     )
+
+
+def _of_tiles(
+    elevation: Path, orthophoto: Path | None, output: Path, settings: ImportSettings, three_d: bool
+) -> None:  # fmt: skip
+    """Make a scene of tiles and say what it has."""
+    from thermorender.apps.lands.import_tiles import import_tiles
+
+    if three_d or orthophoto is None:
+        why = "makes one mesh of its files" if three_d else "is missing: its pixels are the texels of tiles"
+        raise ThermorenderError(
+            f"--tiles: {'--three-d' if three_d else 'the orthophoto'} {why}; "
+            + ("leave one of the two out" if three_d else "give one, or leave --tiles out")
+        )
+    made = import_tiles(elevation, orthophoto, output, settings)
+    across, along = made["side_m"]
+    typer.echo(f"{output}: {across / 1e3:.3g} × {along / 1e3:.3g} km, posts of {made['post_m']:.3g} m, texels of "
+               f"{made['texel_m']:.3g} m, {made['levels']} levels of tiles; heights above the "
+               f"{made['height_reference']}"
+               + ("" if made["height_reference_stated"] else
+                  " (assumed, as the CRS does not say; --height-reference geoid changes it)"))  # fmt: skip
+    kind = (
+        "a placeholder; give --weather FILE --time T for a heat balance"
+        if settings.weather is None
+        else (f"a heat balance at {settings.time}")
+    )
+    typer.echo(f"temperatures: {kind}; materials are {settings.material} everywhere until terrain.tiles.classes names "
+               f"others; flight.csv flies over the middle, {made['flight_m']:.0f} m above the ground")  # fmt: skip
 
 
 def _solid_words(summary: dict[str, Any], wall: str) -> str:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +19,7 @@ from thermorender.scene.tile_grid import APRON, Tile
 from thermorender.scene.world import World, WorldGround
 
 # Tiles along a side of a square that is baked at once.
-ROWS = 4
+ROWS = 2
 # Reach of a square, in sides of a tile.
 _REACH = 0.5 * ROWS + 0.5
 
@@ -61,7 +62,10 @@ class Squares:
         warm = np.array([limit(each.temperature) for each in own.surfaces for limit in (np.min, np.max)])
         plan = replace(self.plan, coldest=min(self.plan.coldest, float(warm.min())),
                        warmest=max(self.plan.warmest, float(warm.max())))  # fmt: skip
-        return dict(self._cut(bake(own, plan, geometry, progress=progress), ground, first))
+        found = dict(self._cut(bake(own, plan, geometry, progress=progress), ground, first))
+        # Dr.Jit keeps the memory of the largest step.
+        dr.flush_malloc_cache()
+        return found
 
     def _cut(self, baked: BakedScene, ground: WorldGround, first: Tile) -> Iterator[tuple[Tile, BakedTile | None]]:
         """Yield the tiles of a baked square."""
@@ -96,10 +100,10 @@ class Squares:
                     BakedTile(
                         place,
                         _without(corner, whole[cells]).astype(np.float32),
-                        surface.material[part],
-                        surface.colour[part],
-                        surface.flags[part],
-                        surface.temperature[part],
+                        surface.material[part].copy(),
+                        surface.colour[part].copy(),
+                        surface.flags[part].copy(),
+                        surface.temperature[part].copy(),
                         np.stack([each[part] for each in texels]),
                         baked.faces[face] if baked.faces is not None else np.zeros((len(face), 0), np.float32),
                         baked.face_error[face] + np.float32(within)
