@@ -90,9 +90,8 @@ def shape_of(files: SceneFiles, placements: Sequence[Placement], held: Held, whe
         for number, surface in enumerate(static)
     ]
     near = [surface if surface.on_round_earth else evened(surface) for surface in finer]
-    # Ground that nothing has cut closes as its files made it.
-    whole_ground = all(one is other for one, other in zip(near, files.ground, strict=True))
-    for number, surface in enumerate(() if whole_ground else near):
+    # Nothing cuts tiles, whose faces keep their numbers.
+    for number, surface in enumerate(() if any(each.joined for each in near) else near):
         if surface.far:
             near[number] = stitched(surface, near[:number])
             near[:number] = [stitched(each, [near[number]]) for each in near[:number]]
