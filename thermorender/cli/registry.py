@@ -20,7 +20,7 @@ from thermorender.errors import ThermorenderError
 # Verb → "module:function" within `thermorender.cli`; a function's docstring is its help.
 CORE = {
     "plan": "scenes:plan", "render": "render:render", "fly": "render:fly", "day": "render:day",
-    "map-materials": "scenes:map_materials", "doctor": "doctor:doctor",
+    "map-materials": "scenes:map_materials", "doctor": "doctor:doctor", "cache": "cached:cache",
 }  # fmt: skip
 # Place of the core's verbs in the help; that of an application is its own `RANK`.
 _RANK = 20

@@ -129,7 +129,7 @@ def _coarse(scene: "Scene", frame: "Frame") -> str | None:
     depth = frame.truth["depth"]
     if not np.isfinite(depth).any():
         return None
-    texel, focal = scene.main_surface.texel_m, frame.camera.focal_length_px
+    texel, focal = scene.texel_m, frame.camera.focal_length_px
     pixels = texel * focal / float(np.nanmedian(depth))
     if pixels < _COARSE_PX:
         return None
@@ -282,7 +282,7 @@ def day(
         loaded = SceneOptions(time, air).load(scene, source.source(), instant_of, report)
         model = getattr(loaded.temperature_state.source, "model", None)
         if model is not None:
-            warn(model.texel_warning(loaded.main_surface.texel_m))
+            warn(model.texel_warning(loaded.texel_m))
         rows = run(
             loaded, view.over(loaded), output, step_min, wanted, display, settings, report, device, seed=seed,
             **sampling.settings(),

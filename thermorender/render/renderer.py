@@ -201,6 +201,10 @@ class Renderer:
             self._like = None
         return self._baked
 
+    def outlook(self, poses: NDArray[np.float64]) -> tuple[str, ...]:
+        """Return sentences on what frames from poses (n, 4, 4) need before the first one."""
+        return ()
+
     @property
     def cache_note(self) -> str | None:
         """Why traced light could not be kept on disk; None where it was kept or need not be."""

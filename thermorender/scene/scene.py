@@ -213,6 +213,11 @@ class Scene:
         return max(self.near_ground, key=lambda surface: surface.material.size)
 
     @property
+    def texel_m(self) -> float:
+        """Side of the terrain's finest texels on the ground [m]."""
+        return self.main_surface.texel_m if self.world is None else self.world.grid.texel
+
+    @property
     def near_ground(self) -> tuple[Surface, ...]:
         """The terrain's Surfaces without the far ground around the scene."""
         return tuple(surface for surface in self.surfaces[: self.terrain_count] if not surface.far)

@@ -54,6 +54,7 @@ class Prospect:
     time_constant_s: float
     length_m: float  # Of the path over the ground between the sampled frames
     backs: float  # Share of the rays that meet a surface from behind, of those that meet one
+    notes: tuple[str, ...] = ()  # What the renderer says of the flight before it begins
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures of `lines` as plain values, for the record of the flight."""
@@ -85,6 +86,7 @@ class Prospect:
             f"pixel on the ground: {_range(self.pixel_m, 'm')}{self._texels()}",
             f"motion within the detector's time constant of {1e3 * self.time_constant_s:g} ms: "
             f"{_range(self.motion_px, 'px')}",
+            *self.notes,
         ]
 
     def _off(self) -> str:
@@ -150,10 +152,10 @@ def prospect(renderer: "Renderer", trajectory: Trajectory, times_s: Floats, rate
         above_ground_m=position[:, 2] - np.asarray(scene.ground(position[:, 0], position[:, 1]), np.float64),
         outline=_outermost(point[:, 1:, :2]), shows_terrain=shows,
         pixel_m=_over(np.median, depth) / camera.focal_length_px,
-        motion_px=_motion(trajectory, camera, time_s, point), texel_m=scene.main_surface.texel_m,
+        motion_px=_motion(trajectory, camera, time_s, point), texel_m=scene.texel_m,
         time_constant_s=camera.time_constant_s,
         length_m=float(np.linalg.norm(np.diff(position[:, :2], axis=0), axis=1).sum()),
-        backs=_backs(scene, world.reshape(-1, 3), face),
+        backs=_backs(scene, world.reshape(-1, 3), face), notes=renderer.outlook(pose),
     )  # fmt: skip
 
 

@@ -7,7 +7,6 @@ a usable folder the caller receives the reason to display.
 
 import hashlib
 import os
-import re
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import fields
@@ -17,21 +16,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender import files, formats
-from thermorender.cache import cache_folder
+from thermorender import formats
+from thermorender.cache import LIMITS, cache_folder, trim
 from thermorender.errors import ThermorenderError
 from thermorender.render.geometry import Geometry
 from thermorender.render.light import radiosity
 from thermorender.timing import phase
 
 # Largest total size of the files [bytes]; the least recently used are removed first.
-LIMIT = 4 << 30
+LIMIT = LIMITS["light"]
 # Tracing fewer rays takes about as long as reading a file.
 WORTH_RAYS = 1 << 22
-# Name of a file without its suffix: the hash from `key`.
-_NAME = r"[0-9a-f]{40}"
-# A temporary file of this age [s] remains from a killed process.
-_STALE_S = 3600.0
 
 
 def traced(
@@ -100,7 +95,7 @@ def store(name: str, transport: radiosity.Transport, limit: int | None = None) -
     try:
         folder = cache_folder("light")
         formats.write_arrays(folder / f"{name}.npz", name, arrays)
-        _trim(folder, limit, keep=f"{name}.npz")
+        trim("light", limit, keep=f"{name}.npz")
     except (OSError, RuntimeError, ThermorenderError) as error:
         # RuntimeError: no home folder exists.
         why = error.__cause__ or error
@@ -110,25 +105,6 @@ def store(name: str, transport: radiosity.Transport, limit: int | None = None) -
             "set THERMORENDER_CACHE to a writable folder"
         )
     return None
-
-
-def _trim(folder: Path, limit: int, keep: str) -> None:
-    """Remove the least recently used files beyond `limit` bytes in total, and remains of killed processes."""
-    kept = []
-    for path in folder.iterdir():
-        if re.fullmatch(rf"{_NAME}\.npz", path.name):
-            with suppress(OSError):
-                status = path.stat()
-                kept.append((path.name == keep, status.st_mtime, status.st_size, path))
-    total = sum(size for _, _, size, _ in kept)
-    for newest, _, size, path in sorted(kept):
-        if newest or total <= limit:
-            break
-        # A file that another process removed or holds open is left to the next process.
-        with suppress(OSError):
-            path.unlink()
-        total -= size
-    files.remove_parts(folder, _NAME, _STALE_S)
 
 
 def _feed(digest: "hashlib.blake2b", values: NDArray[Any]) -> None:

@@ -63,6 +63,12 @@ class TileStore:
             os.utime(path)
         return True, BakedTile(**found) if found else None
 
+    def has(self, tile: Tile) -> bool:
+        """Return whether a file of a tile is stored, undamaged or not."""
+        with suppress(RuntimeError):
+            return (cache_folder("tiles") / f"{self.name(tile)}.npz").is_file()
+        return False
+
     def store(self, tile: Tile, baked: BakedTile | None) -> str | None:
         """Store a tile, or that it has no ground; return None, or why that failed."""
         arrays = {} if baked is None else {field.name: getattr(baked, field.name) for field in fields(baked)}

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from thermorender.cache import LIMITS, trim
 from thermorender.errors import ThermorenderError
 from thermorender.progress import interactive
 from thermorender.render.baked import Progress
@@ -23,6 +24,7 @@ from thermorender.scene.scene import Scene
 from thermorender.scene.tile_grid import Cell, Tile, cell_of
 from thermorender.sensor.camera import Camera
 from thermorender.trajectory.rotations import checked_pose
+from thermorender.units import utc_text
 from thermorender.versions import versions
 
 if TYPE_CHECKING:
@@ -31,6 +33,9 @@ if TYPE_CHECKING:
 
 # Renderers of cells in memory: the pixels of a detector remember the cell before.
 _CELLS_KEPT = 2
+# CPU time of a square on two cores, with a heat balance and at known temperatures [s]; bytes of a texel beside its
+# channels.
+_SQUARE_S, _TEXEL_BYTES = {False: 40.0, True: 15.0}, 10
 # Temperatures of tiles beyond those of the overview, for which spectral nodes are chosen [K].
 _WIDER_K = 15.0
 
@@ -105,6 +110,23 @@ class TiledRenderer(Renderer):
         slope, world = 1.0 / self.scene.camera.focal_length_px, self.world
         return sorted(world.grid.chosen(cell, slope, world.between, world.within))
 
+    def outlook(self, poses: NDArray[np.float64]) -> tuple[str, ...]:
+        """Return a sentence on the tiles that frames from some poses (n, 4, 4) need, and what it takes to bake them."""
+        cells = list(dict.fromkeys(self.cell(pose) for pose in poses))
+        needed = [self.tiles(cell) for cell in cells]
+        every = sorted({tile for tiles in needed for tile in tiles})
+        missing = [tile for tile in every if not self.store.has(tile)]
+        squares = len({self.squares.of(tile) for tile in missing})
+        tiles = squares * self.squares.rows**2
+        most = max(map(len, needed))
+        line = f"tiles: {len(every)} for the poses looked at, up to {most} in a frame, {len(missing)} not baked yet"
+        stays = () if self._asked.temperature_state.solved else (_stays(self.scene),)
+        if not squares:
+            return (line, *stays)
+        hours = squares * _SQUARE_S[self._asked.temperature_state.solved] / 3600.0
+        size = tiles * self.world.grid.texels**2 * (_TEXEL_BYTES + 4 * self.plan.spectrum.channels)
+        return (f"{line}: {squares} squares, about {hours:.2g} CPU hours and {size / 1e9:.2g} GB of disk", *stays)
+
     def with_light(self, tiles: list[Tile]) -> dict[Tile, BakedTile]:
         """Return tiles with their light, from the disk or baked now; those without ground are left out."""
         found, missing = dict[Tile, BakedTile | None](), list[Tile]()
@@ -120,6 +142,7 @@ class TiledRenderer(Renderer):
             for number, first in enumerate(squares):
                 if report:
                     report(f"baking tiles: square {number + 1} of {len(squares)}", number / len(squares))
+                trim("tiles", LIMITS["tiles"])
                 for tile, baked in self.squares.bake(first).items():
                     self._note = self.store.store(tile, baked) or self._note
                     if tile in tiles:
@@ -223,6 +246,11 @@ class TiledRenderer(Renderer):
         frame, there = self.scene.frame, renderer.scene.frame
         assert frame is not None and there is not None
         return replace(view, to_scene=between(there, frame))
+
+
+def _stays(scene: Scene) -> str:
+    assert scene.time is not None
+    return f"temperatures of tiles are those of {utc_text(scene.time)}, also during the flight"
 
 
 def renderer_of(scene: Scene, **settings: Any) -> Renderer:

@@ -1,0 +1,60 @@
+"""Imports of tiles: the files stay as they are, in a folder that holds all of the scene."""
+
+import os
+
+import numpy as np
+import pytest
+
+import thermorender as tr
+from scenes import write_raster
+from thermorender.apps.lands.import_settings import ImportSettings
+from thermorender.apps.lands.import_tiles import import_tiles
+from thermorender.errors import ThermorenderError
+
+CORNER = 500000.0, 5780000.0
+
+
+@pytest.fixture
+def rasters(tmp_path):
+    """Folders of heights and pictures in two pieces each."""
+    for name in ("dem", "photo"):
+        (tmp_path / name).mkdir()
+    height = np.random.default_rng(0).uniform(10.0, 14.0, (1, 64, 64)).astype(np.float32)
+    colour = np.random.default_rng(1).integers(1, 250, (3, 256, 256)).astype(np.uint8)
+    for k in (0, 1):
+        write_raster(tmp_path / "dem" / f"{k}.tif", height[:, :, 32 * k : 32 * k + 32], 1.0,
+                     corner=(CORNER[0] + 32.0 * k, CORNER[1]))  # fmt: skip
+        write_raster(tmp_path / "photo" / f"{k}.tif", colour[:, :, 128 * k : 128 * k + 128], 0.25,
+                     corner=(CORNER[0] + 32.0 * k, CORNER[1]), photometric="RGB")  # fmt: skip
+    return tmp_path
+
+
+def test_an_import_links_the_files_and_loads(rasters):
+    made = import_tiles(rasters / "dem", rasters / "photo", rasters / "scene", ImportSettings())
+    assert made["side_m"] == (64.0, 64.0) and made["texel_m"] == 0.25
+    for name, own in (("dem", "elevation"), ("photo", "orthophoto")):
+        for path in (rasters / name).iterdir():
+            assert os.path.samefile(path, rasters / "scene" / own / path.name)
+    scene = tr.load_scene(rasters / "scene")
+    assert scene.texel_m == 0.25
+    path = tr.load_trajectory(rasters / "scene" / "flight.csv", scene)
+    assert np.isfinite(path.above_ground(scene.ground)).all()
+
+
+def test_single_files_are_imported_too(rasters):
+    import_tiles(rasters / "dem" / "0.tif", rasters / "photo" / "0.tif", rasters / "scene", ImportSettings())
+    assert tr.load_scene(rasters / "scene").world.within == (500000.0, 5779936.0, 500032.0, 5780000.0)
+
+
+@pytest.mark.parametrize(("name", "value"), [("fill", True), ("bands", "1,2,3"), ("far", ["a.tif"]), ("collar", 3)])
+def test_options_that_change_rasters_are_refused(rasters, name, value):
+    with pytest.raises(ThermorenderError, match=name):
+        import_tiles(rasters / "dem", rasters / "photo", rasters / "scene", ImportSettings(**{name: value}))
+    assert not (rasters / "scene").exists()
+
+
+def test_nothing_is_left_of_an_import_that_fails(rasters):
+    write_raster(rasters / "photo" / "other.tif", np.zeros((2, 8, 8), np.uint8))
+    with pytest.raises(ThermorenderError, match=r"other\.tif"):
+        import_tiles(rasters / "dem", rasters / "photo", rasters / "scene", ImportSettings())
+    assert not (rasters / "scene").exists()
