@@ -23,6 +23,7 @@ _PUBLIC = {
     "Renderer": "thermorender.render.renderer",
     "Scene": "thermorender.scene.scene",
     "TemperatureMap": "thermorender.learned.temperature_map",
+    "TiledRenderer": "thermorender.render.tiled.tiled_renderer",
     "ThermorenderError": "thermorender.errors",
     "Trajectory": "thermorender.trajectory",
     "Weather": "thermorender.weather.series",
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
     from thermorender.output.flight import fly as fly
     from thermorender.render.baked import BakedScene as BakedScene
     from thermorender.render.renderer import Renderer as Renderer
+    from thermorender.render.tiled.tiled_renderer import TiledRenderer as TiledRenderer
     from thermorender.scene.load import load_scene as load_scene
     from thermorender.scene.load import load_trajectory as load_trajectory
     from thermorender.scene.scene import Scene as Scene

@@ -1,5 +1,6 @@
 """Tiled ground: frames equal those of one piece, whatever is cut, kept on disk or damaged there."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from thermorender.cache import cache_folder
 from thermorender.errors import ThermorenderError
 from thermorender.output.flight import FlightOptions
 from thermorender.render.renderer import Renderer
-from thermorender.render.tiled.cells import assembled
+from thermorender.render.tiled.cells import LoadedTile, assembled
 from thermorender.render.tiled.squares import Squares
 from thermorender.render.tiled.tiled_renderer import TiledRenderer
 from thermorender.scene import world as worlds
@@ -109,7 +110,8 @@ def in_one_piece(renderer, pose):
         ))  # fmt: skip
 
     whole = Whole(renderer.scene, renderer.plan, 1)
-    tiles = {tile: each for tile, each in whole.bake(Tile(0, 0, 0), side=grid.side(0)).items() if each is not None}
+    baked = whole.bake(Tile(0, 0, 0), side=grid.side(0))
+    tiles = {tile: LoadedTile.of(each) for tile, each in baked.items() if each is not None}
     baked = assembled(renderer.scene, renderer.plan, whole.world.grid, tiles, cell.scene.frame, 50.0)
     return Renderer.of(baked), own
 
@@ -260,3 +262,31 @@ def test_a_link_out_of_the_folder_of_tiles_is_refused(tmp_path, own_cache):
     (folder / "dem" / "b.tif").symlink_to(tmp_path / "other.tif")
     with pytest.raises(ThermorenderError, match=r"b\.tif is a link"):
         tr.load_scene(folder)
+
+
+def test_a_renderer_of_tiles_is_named_and_survives_pickling(tmp_path, monkeypatch, own_cache):
+    monkeypatch.setattr(worlds, "TEXELS", 64)
+    scene = narrow(tr.load_scene(write_tiled(tmp_path / "scene")))
+    with pytest.raises(ThermorenderError, match="use TiledRenderer"):
+        tr.Renderer(scene, "fast")
+    renderer = tr.TiledRenderer(scene, "fast", seed=3)
+    pose = scene.pose(0, 0, 30, 0, -70, 0)
+    frame = renderer.frame(pose)
+    again = pickle.loads(pickle.dumps(renderer))
+    assert isinstance(again, TiledRenderer) and again.seed == 3
+    np.testing.assert_array_equal(again.frame(pose).counts, frame.counts)
+    other = renderer.with_seed(4).frame(pose)
+    np.testing.assert_array_equal(other.radiance, frame.radiance)
+    assert (other.counts != frame.counts).any()
+
+
+def test_what_needs_one_raster_is_refused(tmp_path, monkeypatch, own_cache):
+    monkeypatch.setattr(worlds, "TEXELS", 64)
+    scene = narrow(tr.load_scene(write_tiled(tmp_path / "scene")))
+    renderer = tr.TiledRenderer(scene, "fast")
+    pose = scene.pose(0, 0, 30, 0, -70, 0)
+    for job in (
+        lambda: renderer.parts_at(pose, [(10, 10)]), lambda: renderer.texels(pose), lambda: renderer.solved_for(scene),
+    ):  # fmt: skip
+        with pytest.raises(ThermorenderError, match=r"terrain\.tiles; cut a part out"):
+            job()

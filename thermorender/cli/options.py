@@ -291,10 +291,11 @@ class SamplingOptions:
     def renderer(self, scene: "Scene", seed: int, device: str, progress: Progress) -> "Renderer":
         """Return the Renderer of a scene; print the reports of learned maps that ran only now."""
         with phase("imports"):
-            from thermorender.render.tiled.tiled_renderer import renderer_of
+            from thermorender.render.renderer import Renderer
+            from thermorender.render.tiled.tiled_renderer import TiledRenderer
 
         settings = self.settings() | {"seed": seed, "device": device, "progress": progress}
-        made = renderer_of(scene, **settings)
+        made = Renderer(scene, **settings) if scene.world is None else TiledRenderer(scene, **settings)
         if not scene.temperature_state.solved and hasattr(scene.temperature_state.source, "model"):
             print_map_reports(made.scene)
         return made

@@ -179,6 +179,7 @@ def _frames(
     from thermorender.render.renderer import Renderer
     from thermorender.render.variant import activate
 
+    scene.refuse_tiles("a day")
     # Before the heat balance is solved, so that a wrong setting fails at once.
     Sampling.of(**{name: value for name, value in settings.items() if name != "seed"})
     geometry = Geometry(activate(device), scene.surfaces)

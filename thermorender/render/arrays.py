@@ -1,6 +1,6 @@
 """Arrays on the render side: their upload, packets of channels that one gather reads, and rays of a view."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import drjit as dr
@@ -30,6 +30,20 @@ def aligned(values: ArrayLike, kind: Any = np.float32) -> NDArray[Any]:
     copy = whole[first : first + source.size]
     copy.reshape(source.shape)[...] = source
     return copy
+
+
+def aligned_empty(size: int) -> NDArray[np.float32]:
+    """Return an array of float32 that `aligned` does not copy, (size,)."""
+    whole = np.empty(size + 16, np.float32)
+    first = -whole.ctypes.data % 64 // 4
+    return whole[first : first + size]
+
+
+def widths(channels: int) -> list[int]:
+    """Return how many channels are stored side by side; three would take the room of four."""
+    found = [4] * (channels // 4)
+    left = channels % 4
+    return found + ([2, 1] if left == 3 else [left] if left else [])
 
 
 def opaque_vector(mi: Mitsuba, values: Iterable[float]) -> Jit:
@@ -63,6 +77,21 @@ class Channels:
                 group = np.pad(group, ((0, 0), (0, width - group.shape[1])))
             kind = {1: mi.Float, 2: mi.Vector2f, 4: mi.Vector4f}[width]
             self.groups.append((kind, min(self.count - first, width), mi.Float(aligned(group))))
+
+    @classmethod
+    def of_parts(cls, mi: Mitsuba, parts: Sequence[Sequence[NDArray[np.floating]]]) -> "Channels":
+        """Return the Channels of parts one after the other, each as arrays (n, width) of its `widths`."""
+        found = cls.__new__(cls)
+        count = sum(len(part[0]) for part in parts)
+        found.groups, found.count = [], 0
+        for number, first in enumerate(parts[0]):
+            width = first.shape[1]
+            whole = aligned_empty(count * width)
+            np.concatenate([part[number] for part in parts], out=whole.reshape(count, width))
+            kind = {1: mi.Float, 2: mi.Vector2f, 4: mi.Vector4f}[width]
+            found.groups.append((kind, width, mi.Float(aligned(whole))))
+            found.count += width
+        return found
 
     def at(self, index: Jit, active: Jit = True) -> list[Jit]:
         """Return the channels at flat indices, as a list of Float."""

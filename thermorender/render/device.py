@@ -28,11 +28,12 @@ from thermorender.scene.surface import Surface
 
 
 class DeviceScene:
-    """The arrays of a BakedLight on the device; `outgoing` and `air` are reused where they are given."""
+    """The arrays of a BakedLight on the device; `outgoing`, `air`, and texels with their means, `averaged`, are reused
+    where they are given."""
 
     def __init__(
         self, baked: BakedLight, geometry: Geometry, outgoing: OutgoingRadiance | None = None,
-        air: Vacuum | SceneAir | None = None,
+        air: Vacuum | SceneAir | None = None, averaged: tuple[Channels, Channels | None] | None = None,
     ) -> None:  # fmt: skip
         scene, plan, mi = baked.scene, baked.plan, geometry.mi
         self.geometry, self._mi = geometry, mi
@@ -41,7 +42,9 @@ class DeviceScene:
         if tables and baked.mirror_black is not None:
             directional = DirectionalTexels(mi, tables, flat(scene.surfaces, "material"), baked.mirror_black)
         leaves = None if outgoing else sunlit_leaves(scene, plan, geometry)
-        self._outgoing = outgoing or OutgoingRadiance.of(geometry, baked.texels, baked.faces, directional, leaves)
+        self._outgoing = outgoing or OutgoingRadiance.of(
+            geometry, baked.texels, baked.faces, directional, leaves, averaged
+        )
         self._faces, self._light = baked.faces, baked.static_light
         self._face_error = baked.face_error
         self._static_error = None if baked.face_error is None else mi.Float(aligned(baked.face_error))

@@ -341,6 +341,10 @@ class Geometry:
         found: list[NDArray[np.bool_] | None] = []
         covers = None
         for number, surface in enumerate(self.surfaces):
+            if surface.joined:
+                # The rim of a tile has the ground of the next one.
+                found.append(None)
+                continue
             area = of_faces([surface], _mapped_area, (), np.float64).sum()
             if abs(area - 1.0) < 1e-6 or surface.material.size == 1:
                 found.append(None)

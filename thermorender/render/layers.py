@@ -31,8 +31,13 @@ class OutgoingRadiance:
     def of(
         cls, geometry: Geometry, texels: Sequence[NDArray[np.float32]], faces: ArrayLike | None = None,
         directional: DirectionalTexels | None = None, leaves: SunlitLeaves | None = None,
+        averaged: tuple[Channels, Channels | None] | None = None,
     ) -> "OutgoingRadiance":  # fmt: skip
-        """Return the radiance of spectral channels of texels, K arrays (T,), and of faces, (F, K)."""
+        """Return the radiance of spectral channels of texels, K arrays (T,), and of faces, (F, K). `averaged` are first
+        and other channels as of `Geometry.averaged`, where these are known."""
+        if averaged is not None:
+            own = None if faces is None else Channels(geometry.mi, faces)
+            return cls(*averaged, own, directional, leaves)
         rest = geometry.averaged(np.stack(texels[1:], axis=1)) if len(texels) > 1 else None
         own = None if faces is None else Channels(geometry.mi, faces)
         return cls(geometry.averaged(texels[0][:, None]), rest, own, directional, leaves)

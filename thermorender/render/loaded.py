@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.render.arrays import Channels
 from thermorender.render.baked_light import BakedLight
 from thermorender.render.device import DeviceScene
 from thermorender.render.edits.prior import LeftOut, PriorLight, Samples
@@ -22,6 +23,8 @@ class Loaded:
     """Caches of a BakedLight in a process; an entry that is None is computed at first use."""
 
     geometry: Geometry | None = None
+    # Texels with their means as of `Geometry.averaged`, first and other channels; then `texels` are empty
+    averaged: tuple[Channels, Channels | None] | None = None
     device: DeviceScene | None = None
     environment: Environment | None = None
     walks: Walks | None = None
@@ -55,7 +58,7 @@ class LoadedLight(BakedLight):
     def device(self) -> DeviceScene:
         """The DeviceScene, uploaded on first use."""
         if self.loaded.device is None:
-            self.loaded.device = DeviceScene(self, self.geometry)
+            self.loaded.device = DeviceScene(self, self.geometry, averaged=self.loaded.averaged)
         return self.loaded.device
 
     @property

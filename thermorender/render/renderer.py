@@ -95,7 +95,7 @@ class Renderer:
         `scene` is not a Scene, its parts disagree, a setting is out of range, or `like` has other surfaces.
     """
 
-    # Whether `solved_for` makes the renderer of another instant of a flight.
+    # Whether `solved_for` makes the renderer of another instant of a flight; that of tiles does not.
     follows_weather = True
 
     scene: Scene
@@ -120,8 +120,10 @@ class Renderer:
                 f"scene={shortened(repr(scene))} is not a Scene; give what load_scene returns, as in "
                 "Renderer(load_scene('heath'))"
             )
+        if baked is None and self.follows_weather:
+            scene.refuse_tiles("Renderer", "use TiledRenderer, or ")
         sampling = Sampling.of(quality, samples, taps, edge_mk, rays, tolerance_mk)
-        self._asked, self.seed = scene, _whole("seed", seed)
+        self._asked, self.seed = scene, whole_number("seed", seed)
         self._like, self._progress, self._baked, self._coloured = None, progress, baked, None
         self._heat = None if like is None or baked is None else like._heat
         if baked is not None:
@@ -156,6 +158,18 @@ class Renderer:
     def of(cls, baked: BakedScene, seed: int = 0) -> "Renderer":
         """Return the Renderer of a BakedScene, such as one from another process."""
         return cls(baked.scene, seed=seed, baked=baked)
+
+    def seen_by(self, camera: Camera) -> "Renderer":
+        """Return the renderer of another camera, by light already traced."""
+        return Renderer(self.scene.with_camera(camera), like=self, **self.plan.sampling.settings())
+
+    def prepare(self) -> None:
+        """Trace and solve what can be before the first frame."""
+        _ = self.baked
+
+    def with_seed(self, seed: int) -> "Renderer":
+        """Return this renderer with another seed of the sensor's noise."""
+        return Renderer.of(self.baked, seed)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Pickled with its light, as another process needs it.
@@ -467,7 +481,8 @@ class Renderer:
         sampling: SampledImage | None = None,
     ) -> Frame:  # fmt: skip
         return Frame(
-            radiance=radiance, pose=view.scene_pose, time_s=float(time_s), index=_whole("index", index), seed=self.seed,
+            radiance=radiance, pose=view.scene_pose, time_s=float(time_s), index=whole_number("index", index),
+            seed=self.seed,
             camera=self.scene.camera, plan=plan, time=self.scene.time,
             materials=tuple(material.name for material in self.scene.materials), objects=object_names(self.scene),
             device=active_device(), place=place_of(self.scene.frame, self.scene.grid), _view=view, _sampling=sampling,
@@ -539,7 +554,7 @@ def _solved(
     return solved, SolvedHeat(solved, records[0])
 
 
-def _whole(name: str, value: int) -> int:
+def whole_number(name: str, value: int) -> int:
     """Return a seed or a frame's number as an int; raise unless the generator of the noise accepts it."""
     try:
         number = whole(value)

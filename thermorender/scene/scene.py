@@ -236,6 +236,18 @@ class Scene:
         files = self._declared.files
         return None if files is None else files.world
 
+    def not_on_tiles(self, what: str, other: str = "") -> ThermorenderError:
+        """Return the error of what a tiled ground does not have."""
+        return ThermorenderError(
+            f"{self.where}: {what} needs a scene of one raster, and this one has terrain.tiles; {other}cut a part out "
+            "of its rasters with `thermorender import-terrain --around`"
+        )
+
+    def refuse_tiles(self, what: str, other: str = "") -> None:
+        """Raise if the ground is tiled; `other` begins the advice."""
+        if self.world is not None:
+            raise self.not_on_tiles(what, other)
+
     def on_ground(self, ground: "WorldGround") -> "Scene":
         """Return this scene on a part of its tiled ground, lit by the same sun, sky and air."""
         world = self.world

@@ -91,6 +91,7 @@ def costs(result: dict[str, Any]) -> list[str]:
 
 def _measure(scene: Scene, settings: Settings, device: str, repeats: int) -> dict[str, Any]:
     """Return the result of one scene."""
+    scene.refuse_tiles("bench")
     forget_peak_memory()
     poses, sigma = views(scene), optics_sigma_px(scene.camera)
     first: Renderer | None = None

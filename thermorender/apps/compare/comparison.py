@@ -220,6 +220,7 @@ def _setup(
     report: Progress,
 ) -> tuple[Setup, list[str]]:
     """Return the Setup of a scene with its baked reference and methods, and sentences on methods left out."""
+    flight.scene.refuse_tiles("a comparison")
     scene, truth = flight.scene, _truth(flight.scene)
     reference = Renderer(truth or scene, progress=report, **options.settings)
     learned = None

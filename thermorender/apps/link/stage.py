@@ -92,7 +92,7 @@ class Stage:
             )
         renderer = self._renderer(name, settings.map if settings.method == "C" else "")
         model = self._models[settings.map][1] if settings.map else None
-        return ServerSession(settings, Renderer.of(renderer.baked, settings.seed), model)
+        return ServerSession(settings, renderer.with_seed(settings.seed), model)
 
     def _renderer(self, camera: str, model: str) -> Renderer:
         """The Renderer of a camera and of the map that gives the temperatures."""
@@ -106,8 +106,7 @@ class Stage:
         return self._made[key]
 
     def _seen_by(self, camera: str) -> Renderer:
-        scene = self.renderer.scene.with_camera(self.cameras[camera])
-        return Renderer(scene, like=self.renderer, **self.renderer.plan.sampling.settings())
+        return self.renderer.seen_by(self.cameras[camera])
 
     def _translated(self, camera: str, model: str) -> Renderer:
         """The Renderer of method C, with the temperatures of the map also in objects."""

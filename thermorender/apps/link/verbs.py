@@ -79,7 +79,7 @@ def serve(
     with progress() as report:
         loaded = situation.load(scene, source.source())
         renderer = sampling.renderer(loaded, 0, device, report)
-        _ = renderer.baked
+        renderer.prepare()
     print_cache_note(renderer)
     stage = Stage(renderer, cameras, tuple(map or ()))
     server = Server(stage, host, port)

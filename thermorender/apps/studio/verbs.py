@@ -43,6 +43,7 @@ def studio(
     with listening(host, port) as socket:
         with progress() as report:
             loaded = load_scene(scene)
+            loaded.refuse_tiles("the studio")
             # Before the light is traced, which takes seconds in which a file may change.
             files = SceneFiles(loaded)
             if pose:

@@ -1,37 +1,65 @@
 """Baked tiles put together for the cameras of a cell: one baked scene in a frame of its own."""
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.atmosphere.rays import EARTH_RADIUS_M
 from thermorender.physics.geodesy import LocalFrame
+from thermorender.render.arrays import Channels, widths
 from thermorender.render.baked import BakedScene
 from thermorender.render.geometry import Geometry
 from thermorender.render.loaded import Loaded
+from thermorender.render.pixels import pyramid
 from thermorender.render.plan import Plan
 from thermorender.render.reflection.device_tables import black_of
 from thermorender.render.tiled.baked_tile import BakedTile
 from thermorender.render.variant import activate
 from thermorender.scene.far_ground import raised_m
 from thermorender.scene.scene import Scene
-from thermorender.scene.surface import Surface
+from thermorender.scene.surface import Surface, over_round_earth
 from thermorender.scene.tile_grid import APRON, Tile, TileGrid
 
 _Floats = NDArray[np.float64]
 # Tiles that are farther from the camera than this many times its height above ground are far ground.
 _NEAR, _NEAR_M = 4.0, 500.0
-# Depth of the skirts of a tile beyond the relief along its edge, over the distance of posts.
-_DEEPER = 0.25
+# Depth of the skirts of a tile beyond the relief along its edge, over the distance of posts and at most [m]; posts
+# among which that relief is taken.
+_DEEPER, _DEEPER_M, _AROUND = 0.25, 10.0, 17
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedTile:
+    """A BakedTile in memory: its texels with their means over squares, level after level."""
+
+    baked: BakedTile  # Without its texels
+    first: tuple[NDArray[np.float32], ...]  # (n, 1) of each level
+    rest: tuple[tuple[NDArray[np.float16], ...], ...]  # Of each level, (n, width) of the other channels' `widths`
+
+    @classmethod
+    def of(cls, baked: BakedTile) -> "LoadedTile":
+        """Return a BakedTile with the means of its texels."""
+        values = np.moveaxis(baked.texels, 0, -1)
+        first, rest = list[NDArray[np.float32]](), list[tuple[NDArray[np.float16], ...]]()
+        ends = np.cumsum(widths(values.shape[-1] - 1))[:-1]
+        for level in (values, *pyramid.squares(values)):
+            flat = level.reshape(-1, values.shape[-1])
+            first.append(np.ascontiguousarray(flat[:, :1]))
+            # A hundredth of the first channel: half precision is below a millikelvin.
+            parts = np.split(flat[:, 1:], ends, axis=1) if flat.shape[1] > 1 else []
+            rest.append(tuple(np.ascontiguousarray(part, np.float16) for part in parts))
+        return cls(replace(baked, texels=baked.texels[:, :0, :0]), tuple(first), tuple(rest))
 
 
 def assembled(
-    scene: Scene, plan: Plan, grid: TileGrid, tiles: Mapping[Tile, BakedTile], frame: LocalFrame, above_m: float
+    scene: Scene, plan: Plan, grid: TileGrid, tiles: Mapping[Tile, LoadedTile], frame: LocalFrame, above_m: float
 ) -> BakedScene:
     """Return the BakedScene of tiles in a frame; `above_m` is the cameras' height above ground [m]."""
     surfaces, faces, errors = list[Surface](), list[NDArray[np.float32]](), list[NDArray[np.float32]]()
-    for tile, baked in tiles.items():
+    for tile, each in tiles.items():
+        baked = each.baked
         surface, of_face = _surface(tile, baked, grid, frame, above_m)
         surfaces.append(surface)
         if baked.faces.shape[1]:
@@ -41,24 +69,28 @@ def assembled(
     warm = [limit(surface.temperature) for surface in surfaces for limit in (np.min, np.max)]
     plan = replace(plan, coldest=float(min(warm)), warmest=float(max(warm)))
     own = scene.of_tiles(surfaces, frame)
-    texels = tuple(
-        np.concatenate([each.texels[channel].ravel() for each in tiles.values()])
-        for channel in range(plan.spectrum.channels)
-    )
     black = None
     if plan.specular:
         material = np.concatenate([surface.material.ravel() for surface in surfaces])
         if plan.specular.number[material].any():
             kelvin = np.concatenate([surface.temperature.ravel() for surface in surfaces])
             black = black_of(plan, plan.specular.number, material, kelvin)
-    worst = np.max([each.errors_mk for each in tiles.values()], axis=0)
+    worst = np.max([each.baked.errors_mk for each in tiles.values()], axis=0)
     errors_mk = {"solution": float(worst[0]), "noise": 0.0, "faces": 0.0, "texels": 0.0}
     if scene.air is not None:
         errors_mk["air"] = float(worst[1])
-    return BakedScene(
-        own, plan, None, None, texels, np.concatenate(faces) if faces else None,
-        np.concatenate(errors) if errors else None, black, None, errors_mk, None, Loaded(geometry=geometry),
-    )  # fmt: skip
+    loaded = Loaded(geometry=geometry, averaged=_averaged(geometry, list(tiles.values())))
+    lit, error = (np.concatenate(parts) if parts else None for parts in (faces, errors))
+    return BakedScene(own, plan, None, None, (), lit, error, black, None, errors_mk, None, loaded)
+
+
+def _averaged(geometry: Geometry, tiles: Sequence[LoadedTile]) -> tuple[Channels, Channels | None]:
+    """The texels of tiles with their means: all of a level, then all of the next."""
+    levels = range(geometry.levels)
+    first = Channels.of_parts(geometry.mi, [[each.first[level]] for level in levels for each in tiles])
+    if not tiles[0].rest[0]:
+        return first, None
+    return first, Channels.of_parts(geometry.mi, [each.rest[level] for level in levels for each in tiles])
 
 
 def between(one: LocalFrame, other: LocalFrame) -> _Floats:
@@ -68,6 +100,19 @@ def between(one: LocalFrame, other: LocalFrame) -> _Floats:
     found[:3, :3] = turn @ one.enu_from_ecef_rotation.T
     found[:3, 3] = turn @ (one.origin_ecef - other.origin_ecef)
     return found
+
+
+def _depth(height: _Floats, step: float) -> _Floats:
+    """Depths of the skirts below posts along an edge with these heights (n,) [m]: the relief around, which is also that
+    of a coarser neighbour between its posts."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+    known = np.isfinite(height)
+    if not known.any():
+        return np.zeros(len(height))
+    level = np.interp(np.arange(len(height)), np.flatnonzero(known), height[known])
+    relief = maximum_filter1d(level, _AROUND) - minimum_filter1d(level, _AROUND)
+    return np.minimum(_DEEPER * step, _DEEPER_M) + relief
 
 
 def _surface(
@@ -97,8 +142,8 @@ def _surface(
     )  # fmt: skip
     for edge, cell, second in edges:
         up = posts.reshape(-1, 3)[edge]
-        low, height = up.copy(), up[np.isfinite(up[:, 2]), 2]
-        low[:, 2] -= _DEEPER * step + (float(np.ptp(height)) if height.size else 0.0)
+        low = up.copy()
+        low[:, 2] -= _depth(over_round_earth(up, EARTH_RADIUS_M), step)
         there = cell >= 0
         p, q = edge[:-1][there], edge[1:][there]
         lower = first + np.arange(count)

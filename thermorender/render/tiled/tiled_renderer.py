@@ -2,6 +2,7 @@
 
 from collections import OrderedDict
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
@@ -14,9 +15,9 @@ from thermorender.errors import ThermorenderError
 from thermorender.progress import interactive
 from thermorender.render.baked import Progress
 from thermorender.render.plan import make_plan
-from thermorender.render.renderer import Renderer
-from thermorender.render.tiled.baked_tile import VERSION, BakedTile, TileStore
-from thermorender.render.tiled.cells import assembled, between
+from thermorender.render.renderer import Renderer, whole_number
+from thermorender.render.tiled.baked_tile import VERSION, TileStore
+from thermorender.render.tiled.cells import LoadedTile, assembled, between
 from thermorender.render.tiled.squares import ROWS, Squares
 from thermorender.render.view import View
 from thermorender.scene.georeference import place_of
@@ -31,8 +32,8 @@ if TYPE_CHECKING:
     from thermorender.render.dynamic import Objects
     from thermorender.render.pixels.parts import PixelParts
 
-# Renderers of cells in memory: the pixels of a detector remember the cell before.
-_CELLS_KEPT = 2
+# Renderers of cells in memory, each of some gigabytes.
+_CELLS_KEPT = 1
 # CPU time of a square on two cores, with a heat balance and at known temperatures [s]; bytes of a texel beside its
 # channels.
 _SQUARE_S, _TEXEL_BYTES = {False: 40.0, True: 15.0}, 10
@@ -53,11 +54,11 @@ class TiledRenderer(Renderer):
         self, scene: Scene, quality: Literal["fast", "standard", "high"] = "standard", samples: int | None = None,
         taps: int | None = None, edge_mk: float | None = None, rays: int | None = None, tolerance_mk: float = 5.0,
         seed: int = 0, device: Literal["auto", "cpu", "cuda"] = "auto", progress: Progress | None = None,
-        rows: int = ROWS,
+        *, rows: int = ROWS,
     ) -> None:  # fmt: skip
         if scene.world is None:
             raise ThermorenderError(f"{scene.where}: the scene has no terrain.tiles; give it to Renderer")
-        self._given = (scene, quality, samples, taps, edge_mk, rays, tolerance_mk, seed, device, None, rows)
+        self._given = (scene, quality, samples, taps, edge_mk, rays, tolerance_mk, seed, device), rows
         super().__init__(scene, quality, samples, taps, edge_mk, rays, tolerance_mk, seed, device, progress)
         self.world, sampling = scene.world, self.plan.sampling
         self.plan = make_plan(_wider(self.scene), sampling)
@@ -66,11 +67,26 @@ class TiledRenderer(Renderer):
         self.squares = Squares(self.scene, self.plan, rows)
         self._cells: OrderedDict[Cell, tuple[Renderer, NDArray[np.float64]]] = OrderedDict()
         # Tiles of the cell that was made last.
-        self._loaded: dict[Tile, BakedTile] = {}
+        self._loaded: dict[Tile, LoadedTile] = {}
         self._note: str | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return TiledRenderer, self._given
+        return _again, self._given
+
+    def seen_by(self, camera: Camera) -> "TiledRenderer":
+        """Return the renderer of another camera."""
+        return TiledRenderer(self.scene.with_camera(camera), seed=self.seed, **self.plan.sampling.settings(),
+                             rows=self.squares.rows)  # fmt: skip
+
+    def prepare(self) -> None:
+        """Do nothing: tiles are baked where frames need them."""
+
+    def with_seed(self, seed: int) -> "TiledRenderer":
+        """Return this renderer with another seed of the sensor's noise."""
+        found = copy(self)
+        found.seed = whole_number("seed", seed)
+        found._given = (*self._given[0][:-2], seed, self._given[0][-1]), self._given[1]
+        return found
 
     def __repr__(self) -> str:
         name, camera = self.scene.name, self.scene.camera.name
@@ -127,14 +143,16 @@ class TiledRenderer(Renderer):
         size = tiles * self.world.grid.texels**2 * (_TEXEL_BYTES + 4 * self.plan.spectrum.channels)
         return (f"{line}: {squares} squares, about {hours:.2g} CPU hours and {size / 1e9:.2g} GB of disk", *stays)
 
-    def with_light(self, tiles: list[Tile]) -> dict[Tile, BakedTile]:
-        """Return tiles with their light, from the disk or baked now; those without ground are left out."""
-        found, missing = dict[Tile, BakedTile | None](), list[Tile]()
+    def with_light(self, tiles: list[Tile]) -> dict[Tile, LoadedTile]:
+        """Return tiles with their light, from memory, the disk or baked now; those without ground are left out."""
+        found, missing = dict[Tile, LoadedTile | None](), list[Tile]()
         for tile in tiles:
-            known = self._loaded.get(tile)
-            stored, known = self.store.load(tile) if known is None else (True, known)
+            if tile in self._loaded:
+                found[tile] = self._loaded[tile]
+                continue
+            stored, known = self.store.load(tile)
             if stored:
-                found[tile] = known
+                found[tile] = None if known is None else LoadedTile.of(known)
             else:
                 missing.append(tile)
         squares = sorted({self.squares.of(tile) for tile in missing})
@@ -146,8 +164,8 @@ class TiledRenderer(Renderer):
                 for tile, baked in self.squares.bake(first).items():
                     self._note = self.store.store(tile, baked) or self._note
                     if tile in tiles:
-                        found[tile] = baked
-        self._loaded = {tile: baked for tile, baked in sorted(found.items()) if baked is not None}
+                        found[tile] = None if baked is None else LoadedTile.of(baked)
+        self._loaded = {tile: each for tile, each in sorted(found.items()) if each is not None}
         return self._loaded
 
     def at(self, pose: ArrayLike) -> tuple[Renderer, NDArray[np.float64]]:
@@ -217,25 +235,25 @@ class TiledRenderer(Renderer):
         camera: Camera | None = None,
     ) -> "list[PixelParts]":  # fmt: skip
         """Refuse what needs the rays between surfaces, which tiles do not keep."""
-        raise _unsupported(self.scene, "the parts of a pixel's radiance need")
+        raise self.scene.not_on_tiles("the parts of a pixel's radiance")
 
     def texels(self, pose: ArrayLike, time_s: float = 0.0, objects: "Objects | None" = None) -> NDArray[np.int64]:
         """Refuse numbers of texels, which differ from cell to cell."""
-        raise _unsupported(self.scene, "numbers of texels need")
+        raise self.scene.not_on_tiles("numbers of texels")
 
     def pictured(
         self, values: NDArray[np.float32], pose: ArrayLike, time_s: float = 0.0, objects: "Objects | None" = None
     ) -> NDArray[np.float32]:
         """Refuse radiances given to texels, whose numbers differ from cell to cell."""
-        raise _unsupported(self.scene, "radiances of texels need")
+        raise self.scene.not_on_tiles("radiances of texels")
 
     def solved_for(self, scene: Scene, progress: Progress | None = None) -> Renderer:
         """Refuse an edited scene, whose tiles are to be baked again."""
-        raise _unsupported(self.scene, "an edit without new rays needs")
+        raise self.scene.not_on_tiles("an edit without new rays")
 
     def preview_for(self, scene: Scene, progress: Progress | None = None) -> Renderer:
         """Refuse an edited scene, as `solved_for`."""
-        raise _unsupported(self.scene, "a preview of an edit needs")
+        raise self.scene.not_on_tiles("a preview of an edit")
 
     def _view(
         self, pose: ArrayLike, time_s: float = 0.0, objects: "Objects | None" = None, camera: Camera | None = None,
@@ -253,16 +271,8 @@ def _stays(scene: Scene) -> str:
     return f"temperatures of tiles are those of {utc_text(scene.time)}, also during the flight"
 
 
-def renderer_of(scene: Scene, **settings: Any) -> Renderer:
-    """Return the Renderer of a scene, a TiledRenderer where its ground is tiled; settings as of Renderer."""
-    return Renderer(scene, **settings) if scene.world is None else TiledRenderer(scene, **settings)
-
-
-def _unsupported(scene: Scene, what: str) -> ThermorenderError:
-    return ThermorenderError(
-        f"{scene.where}: {what} a scene of one raster, and this one has terrain.tiles; cut a part out of its rasters "
-        "with `thermorender import-terrain --around`"
-    )
+def _again(settings: tuple[Any, ...], rows: int) -> TiledRenderer:
+    return TiledRenderer(*settings, rows=rows)
 
 
 def _wider(scene: Scene) -> Scene:

@@ -127,6 +127,7 @@ def reconstruct(
     """
     from thermorender import Renderer
 
+    scene.refuse_tiles("a reconstruction")
     settings = settings or Settings()
     camera = camera or scene.camera
     height, width = survey.kelvin.shape[1:]
