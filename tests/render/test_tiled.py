@@ -21,7 +21,7 @@ from thermorender.scene import world as worlds
 from thermorender.scene.georeference import place_of
 from thermorender.scene.raster import Grid
 from thermorender.scene.sources import Classes, Colours, Heights, rasters_of
-from thermorender.scene.tile_grid import Tile
+from thermorender.scene.tile_grid import APRON, Tile
 from thermorender.trajectory.path import Trajectory
 
 CORNER = 500000.0, 5780000.0
@@ -50,11 +50,12 @@ def own_cache(tmp_path, monkeypatch):
     return tmp_path / "cache"
 
 
-def write_tiled(folder, size=129, step=1.0, texel=0.5, temperature=MATERIALS, extra=""):
+def write_tiled(folder, size=129, step=1.0, texel=0.5, temperature=MATERIALS, extra="", rough_m=0.0):
     """Write a scene of tiles: heights, colours and classes in pieces."""
     for name in ("dem", "photo", "classes"):
         (folder / name).mkdir(parents=True)
     height, count = hills(size, step), round((size - 1) * step / texel)
+    height = height + rough_m * np.random.default_rng(9).normal(size=height.shape)
     random = np.random.default_rng(4)
     # Posts are in the middle of pixels, at corners of texels.
     corner = CORNER[0] - 0.5 * step, CORNER[1] + 0.5 * step
@@ -290,3 +291,32 @@ def test_what_needs_one_raster_is_refused(tmp_path, monkeypatch, own_cache):
     ):  # fmt: skip
         with pytest.raises(ThermorenderError, match=r"terrain\.tiles; cut a part out"):
             job()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("rough_m", "least_mk"), [(0.0, 0.0), (0.25, 100.0)])
+def test_coarse_tiles_state_the_relief_that_they_leave_out(tmp_path, monkeypatch, own_cache, rough_m, least_mk):
+    """Means over squares of fine tiles, of all materials alike, against the coarse tile on the same ground."""
+    one = 'source = "balance"', WEATHER
+    folder = write_tiled(tmp_path / "scene", size=257, temperature=one[0], extra=one[1], rough_m=rough_m)
+    text = (folder / "scene.toml").read_text()
+    for name in ("grass_green", "soil_loam"):
+        text = text.replace(f'"{name}"', '"sand_quartz"')
+    (folder / "scene.toml").write_text(text)
+    renderer = renderer_of(folder, monkeypatch, rows=2, quality="fast")
+    sums, per_mk = renderer.plan.spectrum.solver.sum(axis=0), renderer.plan.radiance_per_mk
+    coarse = renderer.squares.bake(Tile(2, 0, 0))[Tile(2, 0, 0)]
+    inner = slice(APRON, -APRON)
+    shown = np.tensordot(sums, coarse.texels[:, inner, inner].astype(float), (0, 0))
+    fine = np.zeros((4 * 64, 4 * 64))
+    for row in (0, 2):
+        for column in (0, 2):
+            for tile, baked in renderer.squares.bake(Tile(0, row, column)).items():
+                part = tuple(slice(64 * k, 64 * k + 64) for k in (tile.row, tile.column))
+                fine[part] = np.tensordot(sums, baked.texels[:, inner, inner].astype(float), (0, 0))
+    off = (shown - fine.reshape(64, 4, 64, 4).mean(axis=(1, 3))) / per_mk
+    true = np.sqrt(np.mean(np.square(off.reshape(16, 4, 16, 4).mean(axis=(1, 3)))))
+    stated = np.sqrt(coarse.face_error.mean()) / per_mk
+    assert true > least_mk
+    # From above: relief much finer than the posts has other normals, which a pixel averages.
+    assert true < stated < 8.0 * true + 100.0

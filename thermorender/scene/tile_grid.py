@@ -16,7 +16,7 @@ from thermorender.scene.raster import Grid
 Bounds = tuple[float, float, float, float]
 _Three = tuple[float, float, float]
 # Texels and cells along a side of a tile, and texels around it that filters of pictures reach.
-TEXELS, APRON = 512, 8
+TEXELS, APRON = 512, 16
 # Side of a texel over that of a pixel that shows it, at most; and of tiles that the camera does not look at.
 FOOTPRINT, ASIDE = 0.25, 4.0
 # A cell is at most so wide and high for its height above ground.
@@ -82,6 +82,13 @@ class TileGrid:
         left, _, _, top = self.bounds(tile)
         return self._grid(left - (around + 0.5) * step, top + (around + 0.5) * step, step,
                           rows * self.cells + 1 + 2 * around)  # fmt: skip
+
+    def finer_posts(self, tile: Tile, rows: int, around: int, times: int) -> Grid:
+        """Return the Grid of `posts` with `times` as many along a side."""
+        step = self.side(tile.level) / self.cells
+        left, _, _, top = self.bounds(tile)
+        fine, count = step / times, times * (rows * self.cells + 2 * around) + 1
+        return self._grid(left - around * step - 0.5 * fine, top + around * step + 0.5 * fine, fine, count)
 
     def texel_grid(self, tile: Tile, rows: int = 1, around: int = APRON) -> Grid:
         """Return the Grid of a tile's texels and of those `around` it."""

@@ -20,6 +20,9 @@ from thermorender.scene.world import World, WorldGround
 
 # Tiles along a side of a square that is baked at once.
 ROWS = 2
+# Finer posts between two of a square, to find the relief there; posts closer than so many pixels of the heights
+# leave none. What relief does beside turning faces, such as shadows, over that: 1.04 on rough ground, less on heath.
+_FINER, _RESOLVED, _BESIDE = 4, 1.5, 1.25
 # Reach of a square, in sides of a tile.
 _REACH = 0.5 * ROWS + 0.5
 
@@ -62,13 +65,48 @@ class Squares:
         warm = np.array([limit(each.temperature) for each in own.surfaces for limit in (np.min, np.max)])
         plan = replace(self.plan, coldest=min(self.plan.coldest, float(warm.min())),
                        warmest=max(self.plan.warmest, float(warm.max())))  # fmt: skip
-        found = dict(self._cut(bake(own, plan, geometry, progress=progress), ground, first))
+        baked = bake(own, plan, geometry, progress=progress)
+        found = dict(self._cut(baked, ground, first, self._lost(baked, ground, first)))
         # Dr.Jit keeps the memory of the largest step.
         dr.flush_malloc_cache()
         return found
 
-    def _cut(self, baked: BakedScene, ground: WorldGround, first: Tile) -> Iterator[tuple[Tile, BakedTile | None]]:
-        """Yield the tiles of a baked square."""
+    def _lost(self, baked: BakedScene, ground: WorldGround, first: Tile) -> NDArray[np.float32]:
+        """Mean square error of the radiance of the square's faces, (F,), for the relief between its posts.
+
+        Radiance follows the normals of faces; the normals of finer ground deviate from those of its posts.
+        """
+        surface, grid = baked.scene.surfaces[0], self.world.grid
+        none = np.zeros(len(surface.faces), np.float32)
+        around = -(-APRON * grid.cells // grid.texels)
+        finer = grid.finer_posts(first, self.rows, around, _FINER)
+        step = grid.side(first.level) / grid.cells
+        if first.level == 0 or step < _RESOLVED * self.world.heights.extent.pixel:
+            return none
+        height = self.world.heights.read(finer)
+        rows, columns = ground.whole.shape
+        slope = np.stack([np.diff(height, axis=1)[:-1], np.diff(height, axis=0)[:, :-1]], axis=-1) * (_FINER / step)
+        normal = slope / np.sqrt(1.0 + np.square(slope).sum(axis=-1, keepdims=True))
+        spread = normal.reshape(rows, _FINER, columns, _FINER, 2).var(axis=(1, 3)).sum(axis=-1)
+        corner = surface.vertices[surface.faces]
+        across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        own = across[:, :2] / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
+        sums, size = baked.plan.spectrum.solver.sum(axis=0), surface.material.shape
+        leaving = sum(weight * each[: surface.material.size] for weight, each in zip(sums, baked.texels, strict=True))
+        place = (surface.uv.mean(axis=1, dtype=np.float64) * size[::-1]).astype(np.int64)
+        texel = np.clip(place[:, 1], 0, size[0] - 1) * size[1] + np.clip(place[:, 0], 0, size[1] - 1)
+        value, kind = np.asarray(leaving)[texel].astype(np.float64), surface.material.ravel()[texel]
+        # Within each material, as materials differ by more than slopes do.
+        count = np.maximum(np.bincount(kind), 1)
+        centred = [each - (np.bincount(kind, each) / count)[kind] for each in (value, *own.T)]
+        gradient, *_ = np.linalg.lstsq(np.stack(centred[1:], axis=1), centred[0], rcond=None)
+        square = np.nan_to_num(spread)[ground.whole] * float(gradient @ gradient) / 2.0 * _BESIDE**2
+        return np.repeat(square, 2).astype(np.float32)
+
+    def _cut(
+        self, baked: BakedScene, ground: WorldGround, first: Tile, lost: NDArray[np.float32]
+    ) -> Iterator[tuple[Tile, BakedTile | None]]:
+        """Yield the tiles of a baked square; `lost` is from `_lost`."""
         grid, surface = self.world.grid, baked.scene.surfaces[0]
         around = -(-APRON * grid.cells // grid.texels)
         whole, count = ground.whole, surface.material.size
@@ -106,7 +144,7 @@ class Squares:
                         surface.temperature[part].copy(),
                         np.stack([each[part] for each in texels]),
                         baked.faces[face] if baked.faces is not None else np.zeros((len(face), 0), np.float32),
-                        baked.face_error[face] + np.float32(within)
+                        baked.face_error[face] + np.float32(within) + lost[face]
                         if lit and baked.face_error is not None
                         else np.zeros(0, np.float32),
                         kept,
