@@ -219,6 +219,8 @@ STUDIES = (
     Study("three_d", "validation.three_d", "What a draped orthophoto costs", "three_d/three_d.json", runs=False),
     Study("horizon", "validation.horizon", "Frames toward the horizon, by far ground", "horizon/horizon.json",
           runs=False),
+    Study("tiled_world", "validation.tiled_world", "Ground of any size in tiles", "tiled_world/tiled_world.json",
+          runs=False),
     Study("heights", "validation.heights", "Error against run time by height", "heights/heights.json",
           ("heights/heights.png",), continues=True),
     Study("growth", "validation.growth", "Cost against size", "growth/growth.json", ("growth/growth.png",),

@@ -286,7 +286,10 @@ def test_what_needs_one_raster_is_refused(tmp_path, monkeypatch, own_cache):
     scene = narrow(tr.load_scene(write_tiled(tmp_path / "scene")))
     renderer = tr.TiledRenderer(scene, "fast")
     pose = scene.pose(0, 0, 30, 0, -70, 0)
+    day = scene.with_weather(time="2018-07-28T12:00:00Z", air_low_c=10.0, air_high_c=20.0, humidity=0.7, wind_m_s=2.0,
+                             cloud=0.0, albedo=0.2)  # fmt: skip
     for job in (
+        lambda: tr.TiledRenderer(day), lambda: scene.with_material_in([(0, 0), (5, 0), (5, 5)], "sand_quartz"),
         lambda: renderer.parts_at(pose, [(10, 10)]), lambda: renderer.texels(pose), lambda: renderer.solved_for(scene),
     ):  # fmt: skip
         with pytest.raises(ThermorenderError, match=r"terrain\.tiles; cut a part out"):
@@ -320,3 +323,38 @@ def test_coarse_tiles_state_the_relief_that_they_leave_out(tmp_path, monkeypatch
     assert true > least_mk
     # From above: relief much finer than the posts has other normals, which a pixel averages.
     assert true < stated < 8.0 * true + 100.0
+
+
+def test_heights_in_degrees_and_pictures_of_a_part_are_taken(tmp_path, monkeypatch, own_cache):
+    from rasterio.warp import transform
+
+    folder = write_tiled(tmp_path / "scene")
+    (longitude,), (latitude,) = transform("EPSG:32634", "EPSG:4326", [CORNER[0]], [CORNER[1]])
+    (folder / "dem" / "a.tif").unlink()
+    text = (folder / "scene.toml").read_text()
+    (folder / "scene.toml").write_text(text.replace('"classes"\n[emi', '"classes"\nfallback = "soil_loam"\n[emi'))
+    step = 1.0 / 111_000.0
+    write_raster(folder / "dem" / "degrees.tif", np.full((1, 160, 260), 12.0, np.float32), step, "EPSG:4326",
+                 (longitude - 30 * step, latitude + 20 * step))  # fmt: skip
+    for name in ("1", "2"):
+        (folder / "photo" / f"{name}.tif").unlink()
+    renderer = renderer_of(folder, monkeypatch, quality="fast")
+    assert renderer.world.grid.crs.to_epsg() == 32634
+    frame = renderer.frame(renderer.scene.pose(20.0, -20.0, 30.0, 0.0, -80.0, 0.0))
+    assert np.isfinite(frame.truth["depth"]).all() and frame.truth["depth"].max() < 60.0
+
+
+def test_gaps_in_the_heights_are_holes(tmp_path, monkeypatch, own_cache):
+    folder = write_tiled(tmp_path / "scene")
+    height = hills(129, 1.0).astype(np.float32)
+    height[50:70, 55:75] = np.nan
+    write_raster(folder / "dem" / "a.tif", height[None], 1.0, corner=(CORNER[0] - 0.5, CORNER[1] + 0.5), nodata=np.nan)
+    renderer = renderer_of(folder, monkeypatch, quality="fast")
+    scene = renderer.scene
+    assert np.isnan(scene.ground(0.0, 5.0)) and np.isfinite(scene.ground(30.0, 30.0))
+    up = float(scene.ground(30.0, 30.0)) + 300.0
+    frame = renderer.frame(tr.pose(0.0, 0.0, up, 0.0, -90.0, 0.0))
+    hole = ~np.isfinite(frame.truth["depth"])
+    assert 0.005 < hole.mean() < 0.3
+    # The background's 285 K, not what lies under a skirt.
+    assert abs(frame.apparent_temperature[hole].mean() - 285.0) < 0.5

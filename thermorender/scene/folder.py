@@ -103,10 +103,12 @@ def _world(spec: SceneSpec, where: str, library: Mapping[str, Material]) -> Worl
     tiles = spec.terrain.tiles
     assert tiles is not None
     added_m = spec.terrain.geoid_undulation_m or 0.0 if spec.terrain.height_reference == "geoid" else 0.0
+    colours = Colours(rasters_of(tiles.orthophoto)) if tiles.orthophoto else None
+    crs = None if colours is None else colours.extent.crs
+    classes = Classes(rasters_of(tiles.classes), crs) if tiles.classes else None
+    crs = classes.extent.crs if crs is None and classes is not None else crs
     return world_of(
-        Heights(rasters_of(tiles.elevation), added_m),
-        Colours(rasters_of(tiles.orthophoto)) if tiles.orthophoto else None,
-        Classes(rasters_of(tiles.classes)) if tiles.classes else None,
+        Heights(rasters_of(tiles.elevation), added_m, crs), colours, classes,
         spec.emissivity.classes, library, where, LocalFrame(*spec.frame) if spec.frame else None,
     )  # fmt: skip
 

@@ -236,6 +236,11 @@ class Scene:
         files = self._declared.files
         return None if files is None else files.world
 
+    def on_world(self, world: "World") -> "Scene":
+        """Return this scene on a tiled ground, whose sources may be made in memory."""
+        files = replace(of_ground(world, world.overview()), world=world)
+        return self._edited(replace(self._declared, files=files))
+
     def not_on_tiles(self, what: str, other: str = "") -> ThermorenderError:
         """Return the error of what a tiled ground does not have."""
         return ThermorenderError(
@@ -818,6 +823,7 @@ class Scene:
             The name of a material, a grey emissivity 0…1, or a Material; by default the property "material" of each
             polygon. It has no other effect: temperatures of a raster or map stay.
         """
+        self.refuse_tiles("with_material_in")
         now, files = self._declared, self._declared.files
         place = place_of(files.frame, files.grid) if files else None
         if files is None or place is None:

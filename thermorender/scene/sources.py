@@ -122,7 +122,10 @@ class _Layer:
 
 
 class _Files:
-    """The files of a source, which may lie beside or on one another; the finest one counts where it has a value."""
+    """The files of a source, which may lie beside or on one another; the finest one counts where it has a value.
+
+    Their map is `crs`, by default that of the first file in metres.
+    """
 
     def __init__(self, paths: Sequence[Path], crs: Any = None) -> None:
         grids = [grid_of(path, any_size=True) for path in paths]
@@ -159,8 +162,8 @@ class _Files:
 class Heights(_Files):
     """Heights above the ellipsoid; `added_m` is added to those of the files."""
 
-    def __init__(self, paths: Sequence[Path], added_m: float = 0.0) -> None:
-        super().__init__(paths)
+    def __init__(self, paths: Sequence[Path], added_m: float = 0.0, crs: Any = None) -> None:
+        super().__init__(paths, crs)
         self.added_m = added_m
 
     def read(self, grid: Grid) -> NDArray[np.float64]:

@@ -7,6 +7,7 @@ reach, and rings of coarser ground around it, whose posts are as far apart as a 
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,8 @@ Bounds = tuple[float, float, float, float]
 # Ground around a square of tiles that its light comes from [m], and distance over that of the posts there. On a real
 # relief of 840 m a ring of 4 km leaves 1 mK (RMS), of 2 km 24 mK; posts of a 16th 3 mK.
 LIGHT_M, _POSTS = 4000.0, 32.0
+# What messages call the classes.
+_CLASSES = Path("terrain.tiles.classes")
 # Cells along a side of a tile's mesh.
 _LEAST_CELLS, _MOST_CELLS = 32, 128
 # Tiles in memory whose heights were asked for, and steps along the vertical to a height.
@@ -144,10 +147,14 @@ class World:
         colour = valid = classes = None
         if self.colours is not None:
             colour, valid = self.colours.read(texels)
+            if not valid.any():
+                # Beyond the pictures ground has the colours of its materials.
+                colour = valid = None
         if self.classes is not None and self.mixtures is not None:
             classes = self.mixtures.on(self.classes, texels)
         return Drape(
             texels, colour, valid, classes, self.mixtures.mixed if self.mixtures else (),
+            classes_file=_CLASSES,
             on_ground=on_ground(height, posts, texels), height=None if colour is None else (height, posts),
         )  # fmt: skip
 

@@ -1,0 +1,1 @@
+"""What ground of any size costs, and how well tiles stand for one piece."""
