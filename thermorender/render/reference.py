@@ -94,6 +94,7 @@ def frame(
     progress: Callable[[float], object] | None = None,
 ) -> Frame:  # fmt: skip
     """Return the Frame of a pose with its radiance path traced; sensor and truth are the renderer's."""
+    renderer.scene.refuse_tiles("the reference")
     radiance = render(renderer.scene, pose, samples, depth, renderer.seed, progress=progress)
     plan = {"engine": "reference", "paths": samples, "depth": depth}
     return renderer.frame_of(radiance.astype(np.float32), pose, plan)

@@ -15,7 +15,7 @@ from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.tile_grid import Tile
 
 # A file of another version is not used: increase this when what a tile holds changes.
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True, eq=False)
