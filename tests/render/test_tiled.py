@@ -111,7 +111,7 @@ def in_one_piece(renderer, pose):
         ))  # fmt: skip
 
     whole = Whole(renderer.scene, renderer.plan, 1)
-    baked = whole.bake(Tile(0, 0, 0), side=grid.side(0))
+    baked = whole.bake(Tile(0, 0, 0))
     tiles = {tile: LoadedTile.of(each) for tile, each in baked.items() if each is not None}
     baked = assembled(renderer.scene, renderer.plan, whole.world.grid, tiles, cell.scene.frame, 50.0)
     return Renderer.of(baked), own
@@ -171,7 +171,7 @@ def test_a_damaged_or_missing_tile_is_baked_again_to_the_same_frame(tmp_path, mo
     pose = renderer.scene.pose(*VIEWS[1][0])
     first = renderer.frame(pose).radiance
     needed = renderer.tiles(renderer.cell(pose))
-    stored = [cache_folder("tiles") / f"{renderer.store.name(tile)}.npz" for tile in needed if tile.level == 0]
+    stored = [renderer.store.path(tile) for tile in needed if tile.level == 0]
     assert len(stored) >= 4
     before = {path.name: path.read_bytes() for path in cache_folder("tiles").glob("*.npz")}
     stored[0].write_bytes(before[stored[0].name][:1000])

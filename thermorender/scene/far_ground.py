@@ -18,6 +18,7 @@ from thermorender.scene.ground import Ground
 from thermorender.scene.raster import Grid, lon_lat
 from thermorender.scene.seam import with_sides
 from thermorender.scene.surface import MOST_OPEN, Surface, fill, nearest_valid
+from thermorender.scene.terrain import triangles, whole_cells
 from thermorender.scene.textures import separate
 
 _Floats = NDArray[np.float64]
@@ -73,7 +74,7 @@ class GroundPlan:
 def of_raster(vertices: _Floats, height: _Floats, grid: Grid, frame: LocalFrame) -> GroundPlan:
     """Return the GroundPlan of a raster's mesh: `vertices` (h w, 3) of heights (h, w), NaN where missing."""
     known = np.isfinite(height)
-    cells = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
+    cells = whole_cells(known)
     return GroundPlan(vertices.reshape(*height.shape, 3), cells, _on_grid(grid, frame))
 
 
@@ -87,7 +88,7 @@ def of_mesh(surfaces: Sequence[Surface]) -> GroundPlan:
     east, north = np.meshgrid(low[0] + step * np.arange(columns), low[1] + step * np.arange(rows))
     up = np.fmin.reduce([Ground([surface])(east, north) for surface in ground])
     known = np.isfinite(up)
-    cells = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
+    cells = whole_cells(known)
     return GroundPlan(np.stack([east, north, up], axis=-1), cells, lambda points: (points[:, :2] - low) / step)
 
 
@@ -143,7 +144,7 @@ def far_mesh(
     joined = joined[closed[there[:, 1], there[:, 0]] & ~inside.covers(positions[joined].mean(axis=1))]
     number = rows * columns + np.arange(len(points))
     number[len(at) : len(at) + len(index)] = index
-    faces = np.concatenate([_cells(kept, columns), number[joined]])
+    faces = np.concatenate([triangles(kept), number[joined]])
     vertices = np.concatenate([posts, positions])
     at_texel = np.concatenate([
         np.stack(texels.to_pixel(x, y), axis=-1).reshape(-1, 2),
@@ -255,14 +256,6 @@ def _any_corner(of_posts: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _any_cell(of_cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Whether a post is at such a cell, (r, c)."""
     return _any_corner(np.pad(of_cells, 1))
-
-
-def _cells(kept: NDArray[np.bool_], columns: int) -> NDArray[np.int64]:
-    """The two triangles of cells, (2 n, 3) numbers of posts."""
-    row, column = np.nonzero(kept)
-    a = row * columns + column
-    b, c, d = a + 1, a + columns, a + columns + 1
-    return np.stack([np.stack([a, c, d], axis=-1), np.stack([a, d, b], axis=-1)], axis=1).reshape(-1, 3)
 
 
 def refuse_finer(grid: Grid, spacing_m: float, inside: GroundPlan) -> None:

@@ -26,6 +26,10 @@ FORMATS = {
 _MOST, _MOST_PACKED, _PACKED = 1 << 14, 1 << 18, ("ZSTD", "LERC", "LZMA", "JXL", "JP2", "WEBP")
 
 
+# (left, bottom, right, top) in map units.
+Bounds = tuple[float, float, float, float]
+
+
 @dataclass(frozen=True)
 class Grid:
     """A pixel grid on a map: coordinate reference system, affine transform (pixel to map) and size."""
@@ -198,7 +202,7 @@ def grid_of(path: Path, any_size: bool = False) -> Grid:
             )
         if dataset.crs.to_wkt().startswith("GEOCCS"):
             raise ThermorenderError(
-                f"{path} is in {_crs_name(dataset.crs)}, a geocentric CRS and not a map; convert it "
+                f"{path} is in {crs_name(dataset.crs)}, a geocentric CRS and not a map; convert it "
                 "to a geographic or projected one, for example with `rio warp`"
             )
         if dataset.transform.is_identity or dataset.transform.is_degenerate:
@@ -228,6 +232,15 @@ def bounds_in(crs: Any, grid: Grid) -> tuple[float, float, float, float]:
     return left, bottom, right, top
 
 
+def step_m(crs: Any, grid: Grid) -> float:
+    """Return the side of a grid's pixel in a map's metres."""
+    # The pixels of a rotated grid fill only a share of its bounding rectangle.
+    left, bottom, right, top = grid.bounds
+    pixels = (right - left) * (top - bottom) / abs(grid.transform.determinant)
+    left, bottom, right, top = bounds_in(crs, grid)
+    return float(np.sqrt((right - left) * (top - bottom) / pixels))
+
+
 def lon_lat(
     grid: Grid, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -240,7 +253,7 @@ def lon_lat(
         longitude, latitude = (np.asarray(values) for values in transform(grid.crs, target, x, y))
     if not ((np.abs(latitude) <= 90.0) & (np.abs(longitude) <= 360.0)).all():
         raise ThermorenderError(
-            f"{grid.name}: x={x[0]:.9g}, y={y[0]:.9g} is not on Earth in {_crs_name(grid.crs)}; assign the CRS of the "
+            f"{grid.name}: x={x[0]:.9g}, y={y[0]:.9g} is not on Earth in {crs_name(grid.crs)}; assign the CRS of the "
             "coordinates"
         )
     return longitude, latitude
@@ -252,13 +265,13 @@ def _reprojecting(grid: Grid, target: Any) -> Iterator[None]:
         yield
     except Exception as error:  # GDAL's errors share no public base class
         raise ThermorenderError(
-            f"{grid.name}: coordinates in {_crs_name(grid.crs)} cannot be converted to "
-            f"{_crs_name(target)} ({_crs_free(error)}); assign the CRS of the coordinates"
+            f"{grid.name}: coordinates in {crs_name(grid.crs)} cannot be converted to "
+            f"{crs_name(target)} ({_crs_free(error)}); assign the CRS of the coordinates"
         ) from None
 
 
-def _crs_name(crs: Any) -> str:
-    """EPSG code where there is one; other definitions are too long for a sentence."""
+def crs_name(crs: Any) -> str:
+    """Return the EPSG code where there is one; other definitions are too long for a sentence."""
     code = crs.to_epsg()
     return f"EPSG:{code}" if code else "a CRS without EPSG code"
 

@@ -56,6 +56,7 @@ from thermorender.units import Number, instant, utc_text, with_unit
 if TYPE_CHECKING:
     from thermorender.physics.geodesy import LocalFrame
     from thermorender.scene.world import World, WorldGround
+    from thermorender.weather.series import Weather
 
 _T = TypeVar("_T")
 
@@ -264,7 +265,9 @@ class Scene:
         shape = Shape(frame, tuple(surfaces), (), (), (), (), max(float(each.heights_m().max()) for each in surfaces))
         painted = tuple(Painted(each.material, each.colour, each.flags) for each in surfaces)
         now = self._placed(frame)
-        spec = replace(now.spec, temperature=TemperatureSpec("constant", value=300.0), sun=self._sun_at(frame))
+        spec = replace(
+            now.spec, temperature=TemperatureSpec("constant", value=300.0), sun=self._sun_in(now.given_weather)
+        )
         return self._edited(
             stages.made_in_memory(replace(now, spec=spec), shape, Cover((), painted, (), {}), self.materials)
         )
@@ -284,11 +287,11 @@ class Scene:
         )  # fmt: skip
         return replace(now, spec=spec, place_altitude_m=place_m, given_weather=weather, given_air=self.air)
 
-    def _sun_at(self, frame: "LocalFrame") -> SunSpec | None:
-        """The sun that shines on this scene, as seen from another frame."""
-        if self.sun is None or self.spec.weather is None or not self.temperature_state.weather_driven:
+    def _sun_in(self, weather: "Weather | None") -> SunSpec | None:
+        """The sun that shines on this scene, at the place of a weather."""
+        if self.sun is None or weather is None or not self.temperature_state.weather_driven:
             return self.sun
-        weather = replace(self._values["weather"], latitude_deg=frame.latitude_deg, longitude_deg=frame.longitude_deg)
+        assert self.time is not None
         azimuth, elevation = map(float, weather.sun(self.time))
         return SunSpec(elevation, azimuth)
 

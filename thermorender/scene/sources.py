@@ -12,13 +12,22 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.scene.orthophoto import read_colour, resampled
-from thermorender.scene.raster import FORMATS, Grid, RasterWindow, bounds_in, grid_of, onto, read_classes
+from thermorender.scene.raster import (
+    FORMATS,
+    Bounds,
+    Grid,
+    RasterWindow,
+    bounds_in,
+    grid_of,
+    onto,
+    read_classes,
+    step_m,
+)
 from thermorender.scene.terrain import heights_in
 
-Bounds = tuple[float, float, float, float]
 # Pixels around a window that interpolation may need.
 _MARGIN = 2
-# Files are on one grid where their pixels are apart by whole pixels, within this.
+# Files share a grid if their corners differ by whole pixels, within this share of one.
 _ALIGNED = 1e-3
 
 
@@ -87,7 +96,7 @@ class _Layer:
         from rasterio import Affine
 
         square = 1 << max(0, int(np.floor(np.log2(pixel / self.pixel + 1e-6))))
-        bounds = np.array(grid.bounds if grid.crs == self.grid.crs else bounds_in(self.grid.crs, grid))
+        bounds = np.array(bounds_in(self.grid.crs, grid))
         column, row = self.grid.to_pixel(bounds[[0, 2, 0, 2]], bounds[[1, 1, 3, 3]])
         ends = []
         for each, size in ((row, self.grid.height), (column, self.grid.width)):
@@ -151,8 +160,7 @@ class _Files:
 
     def windows(self, grid: Grid) -> Iterator[tuple[Grid, list[_Part]]]:
         """Yield (grid of a window, its parts) of the layers that meet a grid, from the coarsest to the finest."""
-        bounds = grid.bounds if grid.crs == self.crs else bounds_in(self.crs, grid)
-        pixel = float(np.sqrt((bounds[2] - bounds[0]) * (bounds[3] - bounds[1]) / (grid.height * grid.width)))
+        pixel = step_m(self.crs, grid)
         for layer in self.layers:
             window, parts = layer.window(grid, pixel)
             if parts:
@@ -263,11 +271,7 @@ def _layers(paths: Sequence[Path], grids: Sequence[Grid], crs: Any) -> Iterator[
             first.crs, first.transform @ Affine.translation(left, top), max(each.row + each.height for each in files),
             max(each.column + each.width for each in files), first.name,
         )  # fmt: skip
-        west, south, east, north = bounds_in(crs, around)
-        own = around.bounds
-        # The pixels of a rotated grid fill only a share of its bounding rectangle.
-        pixels = (own[2] - own[0]) * (own[3] - own[1]) / abs(around.transform.determinant)
-        yield _Layer(around, float(np.sqrt((east - west) * (north - south) / pixels)), files)
+        yield _Layer(around, step_m(crs, around), files)
 
 
 def _state(path: Path) -> tuple[int, int]:

@@ -605,18 +605,22 @@ class SceneSpec:
                 "terrain.tiles.classes and emissivity.source='classes' belong together; give both, with the materials "
                 "in [emissivity.classes], or none"
             )
-        refused = {
+        if self.lacking_on_tiles:
+            raise where.error(
+                f"{self.lacking_on_tiles} is not supported on terrain.tiles; leave it out, or cut a scene of one raster"
+            )
+
+    @property
+    def lacking_on_tiles(self) -> str | None:
+        """The first key that a tiled ground does not have; None without one."""
+        stated = {
             "emissivity.raster": self.emissivity.raster,
             "emissivity.source='learned'": self.emissivity.source == "learned",
             "temperature.raster": self.temperature.raster, "temperature.brightness": self.temperature.brightness,
             "temperature.trained": self.temperature.trained, "weather.albedo": self.weather and self.weather.albedo,
             "[[object]]": self.objects, "[truth]": self.truth_temperature,
         }  # fmt: skip
-        for name, given in refused.items():
-            if given:
-                raise where.error(
-                    f"{name} is not supported on terrain.tiles; leave it out, or cut a scene of one raster"
-                )
+        return next((name for name, given in stated.items() if given), None)
 
 
 def read_scene(folder: Path | str) -> SceneSpec:

@@ -150,7 +150,7 @@ def mesh(
     out, the others split from the upper left to the lower right post.
     """
     known = np.isfinite(height)
-    whole = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
+    whole = whole_cells(known)
     if not whole.any():
         raise ThermorenderError(f"{grid.name} has no cell with four valid posts; give a denser DEM")
     rows, columns = height.shape
@@ -164,13 +164,26 @@ def mesh(
     texel_column, texel_row = texels.to_pixel(x, y)
     uv = np.stack([texel_column / texels.width, texel_row / texels.height], axis=-1).reshape(-1, 2)
 
-    index = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-    # (cells, 2 triangles, 3 corners), both counter-clockwise seen from above for a north-up raster.
-    faces = np.stack([np.stack([a, c, d], axis=-1), np.stack([a, d, b], axis=-1)], axis=2)[whole].reshape(-1, 3)
+    # Counter-clockwise seen from above for a north-up raster.
+    faces = triangles(whole)
     if grid.transform.determinant > 0.0:
         faces = faces[:, ::-1]
     return vertices, np.ascontiguousarray(faces), uv[faces].astype(np.float32)
+
+
+def whole_cells(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the cells whose four posts are known, (h - 1, w - 1), of posts (h, w)."""
+    found: NDArray[np.bool_] = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
+    return found
+
+
+def triangles(cells: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Return the two triangles of each of some cells (h - 1, w - 1), row by row, (2 n, 3) numbers of posts."""
+    row, column = np.nonzero(cells)
+    across = cells.shape[1] + 1
+    a = (row * across + column).astype(np.int32)
+    b, c, d = a + 1, a + across, a + across + 1
+    return np.stack([np.stack([a, c, d], axis=-1), np.stack([a, d, b], axis=-1)], axis=1).reshape(-1, 3)
 
 
 def texel_size_m(texels: Grid, frame: LocalFrame) -> float:

@@ -11,9 +11,8 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.scene.raster import Grid
+from thermorender.scene.raster import Bounds, Grid
 
-Bounds = tuple[float, float, float, float]
 _Three = tuple[float, float, float]
 # Texels and cells along a side of a tile, and texels around it that filters of pictures reach.
 TEXELS, APRON = 512, 16

@@ -8,7 +8,6 @@ from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +21,11 @@ from thermorender.scene.drape import Drape, on_ground
 from thermorender.scene.far_ground import GroundPlan
 from thermorender.scene.georeference import Place
 from thermorender.scene.ground import Ground
-from thermorender.scene.raster import Grid, lon_lat
+from thermorender.scene.raster import Bounds, Grid, crs_name, lon_lat
 from thermorender.scene.sources import Source
 from thermorender.scene.surface import Surface, bare
 from thermorender.scene.tile_grid import APRON, TEXELS, Tile, TileGrid
 
-Bounds = tuple[float, float, float, float]
 # Ground around a square of tiles that its light comes from [m], and distance over that of the posts there. On a real
 # relief of 840 m a ring of 4 km leaves 1 mK (RMS), of 2 km 24 mK; posts of a 16th 3 mK.
 LIGHT_M, _POSTS = 4000.0, 32.0
@@ -84,7 +82,7 @@ class World:
         """Return the ground of all the world at the texels of its coarsest tile."""
         posts, texels = self.grid.posts(self.root), self.grid.texel_grid(self.root, around=0)
         surface, drape = self._near(self.relief, posts, texels, self.frame)
-        return WorldGround(self.frame, (surface,), (drape,), _whole(self.relief))
+        return WorldGround(self.frame, (surface,), (drape,), terrain.whole_cells(np.isfinite(self.relief)))
 
     def between(self, bounds: Bounds) -> tuple[float, float]:
         """Return about the lowest and the highest ground within bounds on the map [m above the ellipsoid]."""
@@ -109,7 +107,7 @@ class World:
             return None
         surface, drape = self._near(height, posts, self.grid.texel_grid(tile, rows), frame)
         cell = np.arange(posts.height - 1) - around
-        whole = _whole(height)
+        whole = terrain.whole_cells(np.isfinite(height))
         surface = replace(surface, seeds=_seeds(whole, tile, cell, self.grid.cells))
         surfaces, drapes = [surface], [drape]
         inside = far_ground.of_raster(surface.vertices, height, posts, frame)
@@ -254,12 +252,12 @@ def world_of(
     for each in (heights, colours, classes):
         if each is not None and each.extent.crs != crs:
             raise ThermorenderError(
-                f"{where}: rasters of terrain.tiles are in {_name(each.extent.crs)} and {_name(crs)}; convert all to "
-                "one map, for example with `rio warp`"
+                f"{where}: rasters of terrain.tiles are in {crs_name(each.extent.crs)} and {crs_name(crs)}; "
+                "convert all to one map, for example with `rio warp`"
             )
     if not crs.is_projected or abs(crs.linear_units_factor[1] - 1.0) > 1e-9:
         raise ThermorenderError(
-            f"{where}: terrain.tiles is on the map {_name(crs)}, and tiles need one in metres; convert the rasters, "
+            f"{where}: terrain.tiles is on the map {crs_name(crs)}, and tiles need one in metres; convert the rasters, "
             "for example with `rio warp`"
         )
     texel, texels = finest.extent.pixel, TEXELS
@@ -286,18 +284,6 @@ def world_of(
     own = frame or made.frame_at(heights.extent.bounds, height)
     assert own is not None
     return replace(made, frame=own)
-
-
-def _name(crs: Any) -> str:
-    code = crs.to_epsg()
-    return f"EPSG:{code}" if code else "a CRS without EPSG code"
-
-
-def _whole(height: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Cells between posts that all have a height."""
-    known = np.isfinite(height)
-    found: NDArray[np.bool_] = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
-    return found
 
 
 def _seeds(whole: NDArray[np.bool_], tile: Tile, cell: NDArray[np.integer], cells: int) -> NDArray[np.uint32]:

@@ -104,7 +104,7 @@ def one_piece(scene, views, device):
         )))  # fmt: skip
 
     whole = Whole(renderer.scene, renderer.plan, 1)
-    tiles = {tile: LoadedTile.of(each) for tile, each in whole.bake(Tile(0, 0, 0), side=grid.side(0)).items()}
+    tiles = {tile: LoadedTile.of(each) for tile, each in whole.bake(Tile(0, 0, 0)).items()}
     found = []
     for east, north, up, yaw, pitch in views:
         pose = renderer.scene.pose(east, north, up, yaw, pitch, 0.0)

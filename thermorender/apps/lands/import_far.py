@@ -14,13 +14,12 @@ from thermorender.apps.lands.import_rasters import (
     heights_on_map,
     read_heights,
     read_picture,
-    step_m,
     write_raster,
 )
 from thermorender.apps.lands.import_settings import ImportSettings
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import FARTHEST_M
-from thermorender.scene.raster import Grid, onto
+from thermorender.scene.raster import Grid, onto, step_m
 from thermorender.scene.terrain import doubtful_zeros
 
 # Posts of a far ground, and texels along a side of its picture, at most.

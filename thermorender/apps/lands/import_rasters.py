@@ -12,10 +12,9 @@ from thermorender.errors import ThermorenderError
 from thermorender.numbers import parse_numbers
 from thermorender.physics.geodesy import FARTHEST_M
 from thermorender.scene.orthophoto import read_colour, resampled
-from thermorender.scene.raster import Grid, bounds_in, describe, grid_of, lon_lat, onto, window_of
+from thermorender.scene.raster import Bounds, Grid, bounds_in, describe, grid_of, lon_lat, onto, step_m, window_of
 from thermorender.scene.terrain import read_elevation
 
-Bounds = tuple[float, float, float, float]
 # A part of a file is read at up to this many times the posts or texels that are kept, of which means are taken.
 _OVERSAMPLED = 4
 
@@ -129,15 +128,6 @@ def middle(grid: Grid) -> tuple[float, float]:
 def shared(a: Bounds, b: Bounds) -> Bounds:
     """Return the bounds of what two areas share; without an overlap they are in the wrong order."""
     return max(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), min(a[3], b[3])
-
-
-def step_m(crs: Any, grid: Grid) -> float:
-    """Return the side of a grid's pixel in a map's metres."""
-    # The pixels of a rotated grid fill only a share of its bounding rectangle.
-    left, bottom, right, top = grid.bounds
-    pixels = (right - left) * (top - bottom) / abs(grid.transform.determinant)
-    left, bottom, right, top = bounds_in(crs, grid)
-    return float(np.sqrt((right - left) * (top - bottom) / pixels))
 
 
 def _grid(crs: Any, bounds: Bounds, step: float) -> Grid:

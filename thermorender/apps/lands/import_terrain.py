@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from thermorender import defaults, load_camera
 from thermorender.apps.lands.import_far import FarGround, read_far
 from thermorender.apps.lands.import_rasters import (
-    Bounds,
     Picture,
     has_vertical_datum,
     heights_on_map,
@@ -25,7 +24,6 @@ from thermorender.apps.lands.import_rasters import (
     read_heights,
     read_picture,
     square_around,
-    step_m,
     write_raster,
 )
 from thermorender.apps.lands.import_settings import ImportSettings, ThreeD
@@ -40,7 +38,7 @@ from thermorender.materials.extended import within_band
 from thermorender.scene.folder import read_files
 from thermorender.scene.mapped_cover import read_mapped_cover
 from thermorender.scene.orthophoto import COLLAR, empty_border
-from thermorender.scene.raster import Grid, bounds_in, grid_of
+from thermorender.scene.raster import Bounds, Grid, bounds_in, grid_of, step_m
 from thermorender.scene.spec import WeatherSpec, read_scene
 from thermorender.scene.surface import scene_kelvin
 from thermorender.scene.terrain import doubtful_zeros, filled, read_elevation

@@ -4,6 +4,7 @@ import hashlib
 import os
 from contextlib import suppress
 from dataclasses import dataclass, fields
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +16,12 @@ from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.tile_grid import Tile
 
 # A file of another version is not used: increase this when what a tile holds changes.
-VERSION = 2
+VERSION = 3
 
 
 @dataclass(frozen=True, eq=False)
 class BakedTile:
-    """A tile with its light, from the square that it was baked in. Texels include the rim of `tiles.APRON`."""
+    """A tile with its light, from the square that it was baked in. Texels include the rim of `tile_grid.APRON`."""
 
     place: NDArray[np.float64]  # (3,) latitude, longitude [deg] and ellipsoid height [m] of the frame of its posts
     posts: NDArray[np.float32]  # (n, n, 3) local positions of the posts [m]; NaN where there is no ground
@@ -45,14 +46,15 @@ class TileStore:
 
     key: str  # Fingerprint of the scene, the ground, the settings and the versions
 
-    def name(self, tile: Tile) -> str:
-        """Return the name of a tile's file without its suffix."""
-        return hashlib.blake2b(f"{self.key} {tuple(tile)}".encode(), digest_size=20).hexdigest()
+    def path(self, tile: Tile) -> Path:
+        """Return the path of a tile's file; RuntimeError where no home folder exists."""
+        name = hashlib.blake2b(f"{self.key} {tuple(tile)}".encode(), digest_size=20).hexdigest()
+        return cache_folder("tiles") / f"{name}.npz"
 
     def load(self, tile: Tile) -> tuple[bool, BakedTile | None]:
         """Return (whether an undamaged file of a tile is stored, the tile; None where it has no ground)."""
         try:
-            path = cache_folder("tiles") / f"{self.name(tile)}.npz"
+            path = self.path(tile)
         except RuntimeError:
             return False, None
         found = formats.read_arrays(path, (self.key, tuple(tile)))
@@ -66,15 +68,14 @@ class TileStore:
     def has(self, tile: Tile) -> bool:
         """Return whether a file of a tile is stored, undamaged or not."""
         with suppress(RuntimeError):
-            return (cache_folder("tiles") / f"{self.name(tile)}.npz").is_file()
+            return self.path(tile).is_file()
         return False
 
     def store(self, tile: Tile, baked: BakedTile | None) -> str | None:
         """Store a tile, or that it has no ground; return None, or why that failed."""
         arrays = {} if baked is None else {field.name: getattr(baked, field.name) for field in fields(baked)}
         try:
-            path = cache_folder("tiles") / f"{self.name(tile)}.npz"
-            formats.write_arrays(path, (self.key, tuple(tile)), arrays)
+            formats.write_arrays(self.path(tile), (self.key, tuple(tile)), arrays)
         except (OSError, RuntimeError, ThermorenderError) as error:
             return f"baked tiles are not kept: {error}; set THERMORENDER_CACHE to a writable folder"
         return None

@@ -20,6 +20,7 @@ from thermorender.render.variant import activate
 from thermorender.scene.far_ground import raised_m
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import Surface, over_round_earth
+from thermorender.scene.terrain import triangles, whole_cells
 from thermorender.scene.tile_grid import APRON, Tile, TileGrid
 
 _Floats = NDArray[np.float64]
@@ -128,10 +129,9 @@ def _surface(
     at = (APRON + np.arange(count) * (grid.texels / grid.cells)) / size
     uv = np.stack(np.meshgrid(at, at), axis=-1).reshape(-1, 2)
     index = np.arange(count * count).reshape(count, count)
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-    # A cell has ground where its four posts have: cells without are known by one post without at least.
-    whole = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
-    faces = np.stack([np.stack([a, c, d], axis=-1), np.stack([a, d, b], axis=-1)], axis=2)[whole].reshape(-1, 3)
+    # Of a cell without ground one post at least has none.
+    whole = whole_cells(known)
+    faces = triangles(whole)
     number = np.where(whole, np.cumsum(whole.ravel()).reshape(whole.shape) - 1, -1)
     step = grid.side(tile.level) / grid.cells
     points, rows, of_face = [posts.reshape(-1, 3)], [faces], [np.arange(len(faces))]
@@ -154,9 +154,9 @@ def _surface(
         points.append(low)
         first += count
         uv = np.concatenate([uv, uv[edge]])
-    vertices, faces = np.nan_to_num(np.concatenate(points)), np.concatenate(rows).astype(np.int32)
-    used, faces = np.unique(faces, return_inverse=True)
-    corners = faces.reshape(-1, 3).astype(np.int32)
+    vertices, faces = np.nan_to_num(np.concatenate(points)), np.concatenate(rows)
+    used, number_of = np.unique(faces, return_inverse=True)
+    corners = number_of.reshape(-1, 3).astype(np.int32)
     vertices, uv = vertices[used], uv[used]
     low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
     away = float(np.linalg.norm(np.maximum(np.maximum(low, -high), 0.0)))

@@ -23,8 +23,6 @@ ROWS = 2
 # Finer posts between two of a square, to find the relief there; posts closer than so many pixels of the heights
 # leave none. What relief does beside turning faces, such as shadows, over that: 1.04 on rough ground, less on heath.
 _FINER, _RESOLVED, _BESIDE = 4, 1.5, 1.25
-# Reach of a square, in sides of a tile.
-_REACH = 0.5 * ROWS + 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,17 +44,16 @@ class Squares:
         """Return the first tile of the square that a tile is in."""
         return Tile(tile.level, tile.row - tile.row % self.rows, tile.column - tile.column % self.rows)
 
-    def bake(
-        self, first: Tile, progress: Progress | None = None, side: float | None = None
-    ) -> dict[Tile, BakedTile | None]:
-        """Return the tiles of the square from a tile on; None where there is no ground. Rays begin as far from the
-        ground as those of squares of tiles of this `side` [m], by default their own."""
+    def bake(self, first: Tile, progress: Progress | None = None) -> dict[Tile, BakedTile | None]:
+        """Return the tiles of the square from a tile on; None where there is no ground."""
         every = [Tile(first.level, first.row + i, first.column + j) for i in range(self.rows) for j in range(self.rows)]
         ground = self.world.square(first, self.rows)
         if ground is None:
             return dict.fromkeys(every)
         own = self.scene.on_ground(ground)
-        geometry = Geometry(activate(), own.surfaces, reach=_REACH * (side or self.world.grid.side(first.level)))
+        grid = self.world.grid
+        reach = grid.side(first.level) * (0.5 * self.rows + APRON / grid.texels)
+        geometry = Geometry(activate(), own.surfaces, reach)
         # The light of a square is kept with its tiles.
         geometry.kept = False
         if not own.temperature_state.solved:

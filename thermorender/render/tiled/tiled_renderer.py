@@ -58,7 +58,9 @@ class TiledRenderer(Renderer):
     ) -> None:  # fmt: skip
         if scene.world is None:
             raise ThermorenderError(f"{scene.where}: the scene has no terrain.tiles; give it to Renderer")
-        refuse_edits(scene)
+        # An edit may ask for what the scene file may not.
+        if scene.spec.lacking_on_tiles:
+            raise scene.not_on_tiles(scene.spec.lacking_on_tiles)
         self._given = (scene, quality, samples, taps, edge_mk, rays, tolerance_mk, seed, device), rows
         super().__init__(scene, quality, samples, taps, edge_mk, rays, tolerance_mk, seed, device, progress)
         self.world, sampling = scene.world, self.plan.sampling
@@ -270,21 +272,6 @@ class TiledRenderer(Renderer):
 def _stays(scene: Scene) -> str:
     assert scene.time is not None
     return f"temperatures of tiles are those of {utc_text(scene.time)}, also during the flight"
-
-
-def refuse_edits(scene: Scene) -> None:
-    """Raise for edits that a tiled ground does not have, as its scene file would."""
-    spec = scene.spec
-    edits = {
-        "albedo": spec.weather is not None and spec.weather.albedo is not None,
-        "brightness": spec.temperature.brightness,
-        "a learned emissivity map": spec.emissivity.source == "learned",
-        "a map moved to another hour": spec.temperature.trained is not None,
-        "an object": bool(spec.objects),
-    }
-    for name, made in edits.items():
-        if made:
-            raise scene.not_on_tiles(name)
 
 
 def _again(settings: tuple[Any, ...], rows: int) -> TiledRenderer:
