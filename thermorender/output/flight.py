@@ -315,6 +315,7 @@ class Flight:
     ) -> None:  # fmt: skip
         """Take frames and write their files, lines and video, while the next frames are rendered."""
         place, measured = os.stat(folder), frames[:MEASURED]
+        self.renderer.expect(self.flown.poses[frames.start : frames.stop])
 
         def report(frame: Prepared) -> None:
             self.terrain.append(frame.line["shows_terrain"])

@@ -32,13 +32,6 @@ def aligned(values: ArrayLike, kind: Any = np.float32) -> NDArray[Any]:
     return copy
 
 
-def aligned_empty(size: int) -> NDArray[np.float32]:
-    """Return an array of float32 that `aligned` does not copy, (size,)."""
-    whole = np.empty(size + 16, np.float32)
-    first = -whole.ctypes.data % 64 // 4
-    return whole[first : first + size]
-
-
 def widths(channels: int) -> list[int]:
     """Return how many channels are stored side by side; three would take the room of four."""
     found = [4] * (channels // 4)
@@ -68,7 +61,9 @@ class Channels:
 
     def __init__(self, mi: Mitsuba, values: ArrayLike) -> None:
         source = np.asarray(values, dtype=np.float32)
-        self.count = source.shape[1]
+        self._mi, self.count = mi, source.shape[1]
+        # Whether surfaces have squares of `Geometry.finest` on alone.
+        self.coarse = False
         self.groups: list[tuple[Any, int, Jit]] = []
         for first in range(0, self.count, 4):
             group = source[:, first : first + 4]
@@ -79,17 +74,17 @@ class Channels:
             self.groups.append((kind, min(self.count - first, width), mi.Float(aligned(group))))
 
     @classmethod
-    def of_parts(cls, mi: Mitsuba, parts: Sequence[Sequence[NDArray[np.floating]]]) -> "Channels":
-        """Return the Channels of parts one after the other, each as arrays (n, width) of its `widths`."""
+    def of_arrays(cls, mi: Mitsuba, arrays: Sequence[NDArray[np.floating]], coarse: bool = False) -> "Channels":
+        """Return the Channels of arrays (n, width) of `widths`, float32 or float16, which Dr.Jit may use in place."""
         found = cls.__new__(cls)
-        count = sum(len(part[0]) for part in parts)
-        found.groups, found.count = [], 0
-        for number, first in enumerate(parts[0]):
-            width = first.shape[1]
-            whole = aligned_empty(count * width)
-            np.concatenate([part[number] for part in parts], out=whole.reshape(count, width))
-            kind = {1: mi.Float, 2: mi.Vector2f, 4: mi.Vector4f}[width]
-            found.groups.append((kind, width, mi.Float(aligned(whole))))
+        found._mi, found.groups, found.count, found.coarse = mi, [], 0, coarse
+        for values in arrays:
+            width, base = values.shape[1], mi.Float
+            if values.dtype == np.float16:
+                base = dr.float16_array_t(mi.Float)
+            of = {1: mi.Float, 2: mi.Vector2f, 4: mi.Vector4f}[width]
+            kind = of if base is mi.Float else dr.float16_array_t(of)
+            found.groups.append((kind, width, base(aligned(values, values.dtype))))
             found.count += width
         return found
 
@@ -99,4 +94,5 @@ class Channels:
         for kind, used, values in self.groups:
             packet = dr.gather(kind, values, index, active)
             found += [packet] if dr.depth_v(packet) == 1 else [packet[i] for i in range(used)]
-        return found
+        # Half precision is for storage only.
+        return [self._mi.Float(value) for value in found]

@@ -16,7 +16,7 @@ from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned, 
 from thermorender.render.baked_light import BakedLight
 from thermorender.render.dynamic import DynamicObject, ObjectState
 from thermorender.render.geometry import Geometry
-from thermorender.render.layers import Layer, OutgoingRadiance, TexelArrays
+from thermorender.render.layers import KeptTexels, Layer, OutgoingRadiance, TexelArrays
 from thermorender.render.object_numbers import objects_of_surfaces
 from thermorender.render.pixels.crown_light import sunlit_leaves
 from thermorender.render.plan import Plan
@@ -26,31 +26,35 @@ from thermorender.scene.instances import Instances
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import Surface
 
+_LABELS = ("material", "flags", "temperature")
+
 
 class DeviceScene:
-    """The arrays of a BakedLight on the device; `outgoing`, `air`, and texels with their means, `averaged`, are reused
-    where they are given."""
+    """The arrays of a BakedLight on the device; `outgoing`, `air` and `kept` texels are reused where they are
+    given."""
 
     def __init__(
         self, baked: BakedLight, geometry: Geometry, outgoing: OutgoingRadiance | None = None,
-        air: Vacuum | SceneAir | None = None, averaged: tuple[Channels, Channels | None] | None = None,
+        air: Vacuum | SceneAir | None = None, kept: KeptTexels | None = None,
     ) -> None:  # fmt: skip
         scene, plan, mi = baked.scene, baked.plan, geometry.mi
         self.geometry, self._mi = geometry, mi
         tables = DeviceTables(mi, plan.specular, scene, plan.spectrum) if plan.specular else None
         directional = None
         if tables and baked.mirror_black is not None:
-            directional = DirectionalTexels(mi, tables, flat(scene.surfaces, "material"), baked.mirror_black)
+            number = kept.mirrors if kept is not None else tables.number[flat(scene.surfaces, "material")]
+            assert number is not None
+            directional = DirectionalTexels(mi, tables, number, baked.mirror_black)
         leaves = None if outgoing else sunlit_leaves(scene, plan, geometry)
         self._outgoing = outgoing or OutgoingRadiance.of(
-            geometry, baked.texels, baked.faces, directional, leaves, averaged
+            geometry, baked.texels, baked.faces, directional, leaves, kept
         )
         self._faces, self._light = baked.faces, baked.static_light
         self._face_error = baked.face_error
         self._static_error = None if baked.face_error is None else mi.Float(aligned(baked.face_error))
         self.objects = [DynamicObject(mi, tracked, plan, scene.materials, tables) for tracked in scene.tracked_objects]
         self.air = air or _air(mi, scene, plan)
-        self._scene = scene
+        self._scene, self._kept = scene, kept
         self._last_light: tuple[Any, Any] = None, None
         self._last_outgoing: tuple[Any, Any] = None, None
 
@@ -83,8 +87,11 @@ class DeviceScene:
         mi, numbers = self._mi, objects_of_surfaces(self._scene)
         small, found, first = dr.uint8_array_t(mi.Float), [], 0
         for place, surfaces in enumerate([self._scene.surfaces, *(each.surfaces for each in self.objects)]):
-            material, flags = (small(aligned(flat(surfaces, name), np.uint8)) for name in ("material", "flags"))
-            kelvin = mi.Float(aligned(flat(surfaces, "temperature"))) if place == 0 else None
+            known = self._kept if place == 0 else None
+            arrays = (flat(surfaces, name) if known is None else getattr(known, name) for name in _LABELS)
+            material, flags, temperature = arrays
+            kelvin = mi.Float(aligned(temperature)) if place == 0 else None
+            material, flags = (small(aligned(each, np.uint8)) for each in (material, flags))
             own = numbers[first : first + len(surfaces)]
             found.append(TexelArrays(material, flags, kelvin, mi.UInt32(aligned(own, np.uint32))))
             first += len(surfaces)

@@ -148,7 +148,7 @@ class DynamicObject:
             material = np.full(self._texel_count, self._material)
             warm = np.full(self._texel_count, temperature)
             black = black_of(plan, self._tables.number, material, warm)
-            directional = DirectionalTexels(mi, self._tables, material, black)
+            directional = DirectionalTexels(mi, self._tables, self._tables.number[material], black)
         emitted = plan.spectrum.emitted_at(self._emissivity_at, temperature, plan.band_um)
         texels = [np.full(self._texel_count, value, np.float32) for value in emitted]
         return OutgoingRadiance.of(self.geometry, texels, own, directional)

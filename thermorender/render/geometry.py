@@ -23,6 +23,15 @@ from thermorender.render.pixels import pyramid, shapes, slender
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import Surface, over_round_earth
 
+
+@dataclass(frozen=True)
+class Slots:
+    """Where the texels of surfaces are, which have equally many of them."""
+
+    count: int  # Number of slots
+    of: NDArray[np.int64]  # (S,) the slot of each surface
+    finest: NDArray[np.uint32]  # (count,) level of squares that coarse Channels begin with, 0 or 1
+
 _RAYS_AT_ONCE, _FACES_AT_ONCE = 1 << 22, 1 << 20
 # 64 float32 steps, relative to a coordinate.
 _STEPS = 64.0 * 2.0**-24
@@ -46,9 +55,12 @@ class Hit:
 
 class Geometry:
     """Ray caster and flat arrays of a scene's surfaces; `mi` is Mitsuba with a variant active. Squares of a tiled
-    ground state their `reach` alike, so that rays begin at the same points in each."""
+    ground state their `reach` alike, so that rays begin at the same points in each. With `slots`, texels are numbered
+    by slot; else those of one surface follow those of the one before."""
 
-    def __init__(self, mi: Mitsuba, surfaces: Sequence[Surface], reach: float | None = None) -> None:
+    def __init__(
+        self, mi: Mitsuba, surfaces: Sequence[Surface], reach: float | None = None, slots: Slots | None = None
+    ) -> None:
         self.mi = mi
         self.surfaces = surfaces
         # (S + 1,) int64: first face and first texel of each surface in the flat numbering.
@@ -97,14 +109,23 @@ class Geometry:
         self.levels = max(map(len, sizes))
         squares = np.array([size + [(1, 1)] * (self.levels - len(size)) for size in sizes], dtype=np.int64)
         squares = squares.transpose(1, 0, 2).reshape(-1, 2)
-        start = np.concatenate([[0], np.cumsum(squares.prod(axis=1))])
+        each = squares.prod(axis=1).reshape(self.levels, -1)
+        # (L, S): number of a surface's first square in a level, and (L,): of the level's first one.
+        start = np.cumsum(each).reshape(each.shape) - each
+        self._slots = slots
+        if slots is not None:
+            self._level_start = slots.count * (np.cumsum(each[:, 0]) - each[:, 0])
+            start = self._level_start[:, None] + each * slots.of
+            self.texel_start = np.array([0, slots.count * each[0, 0]])
+            self._finest_of_slot = mi.UInt32(aligned(slots.finest, np.uint32))
+            self._finest = mi.UInt32(aligned(slots.finest[slots.of], np.uint32))
         self._surfaces, self._boxes = len(surfaces), dict[int, Floats]()
         self._objects = dict[str, Geometry]()
         # {number of a surface: leaves.Open}, what `light.leaves` has traced of the bodies of copies.
         self.openness = dict[int, Any]()
         # Whether its traced light is kept on disk.
         self.kept = True
-        parts = (start[:-1], squares[:, 0], squares[:, 1])
+        parts = (start.ravel(), squares[:, 0], squares[:, 1])
         self._lattice = tuple(mi.Int32(aligned(part, np.int32)) for part in parts)
         # (8 F,): for each face, gradient and offset of the texel map's column, then of its row.
         self.records = mi.Float(aligned(of_faces(surfaces, _map_records, (8,))))
@@ -285,6 +306,19 @@ class Geometry:
         side."""
         index = surface if level is None else surface + level * self._surfaces
         return tuple(dr.gather(self.mi.Int32, values, index, active) for values in self._lattice)
+
+    def finest(self, surface: Jit, active: Jit = True) -> Jit:
+        """Return the level of squares that coarse Channels of surfaces begin with, UInt32."""
+        return dr.gather(self.mi.UInt32, self._finest, surface, active)
+
+    def coarse_square(self, texel: Jit, active: Jit = True) -> Jit:
+        """Return the number of the finest square of coarse Channels that holds a texel, UInt32; texels are in slots."""
+        assert self._slots is not None
+        (rows, columns), (high, wide) = pyramid.sizes(*self.surfaces[0].material.shape)[:2]
+        slot, within = texel // (rows * columns), texel % (rows * columns)
+        square = (within // columns // 2) * wide + within % columns // 2
+        half = int(self._level_start[1]) + slot * (high * wide) + square
+        return dr.select(dr.gather(self.mi.UInt32, self._finest_of_slot, slot, active) == 0, texel, half)
 
     def averaged(self, values: ArrayLike) -> Channels:
         """Return Channels of texels (T, C), followed by their means over squares of 2, 4, 8 … texels a side."""

@@ -16,6 +16,18 @@ from thermorender.scene.crowns import PATCHES
 
 
 @dataclass(frozen=True)
+class KeptTexels:
+    """Texels of the static scene with their means over squares, by the numbers of a Geometry with slots."""
+
+    first: Channels  # The first spectral channel
+    rest: Channels | None  # The others; coarse
+    material: NDArray[np.uint8]  # (T,)
+    flags: NDArray[np.uint8]  # (T,)
+    temperature: NDArray[np.float32]  # (T,) [K]
+    mirrors: NDArray[np.uint8] | None = None  # (T,) numbers of the directional texels' tables; None without any
+
+
+@dataclass(frozen=True)
 class OutgoingRadiance:
     """Radiance that leaves surfaces towards a camera: channels of texels and corrections of faces."""
 
@@ -31,15 +43,13 @@ class OutgoingRadiance:
     def of(
         cls, geometry: Geometry, texels: Sequence[NDArray[np.float32]], faces: ArrayLike | None = None,
         directional: DirectionalTexels | None = None, leaves: SunlitLeaves | None = None,
-        averaged: tuple[Channels, Channels | None] | None = None,
+        kept: KeptTexels | None = None,
     ) -> "OutgoingRadiance":  # fmt: skip
-        """Return the radiance of spectral channels of texels, K arrays (T,), and of faces, (F, K). `averaged` are first
-        and other channels as of `Geometry.averaged`, where these are known."""
-        if averaged is not None:
-            own = None if faces is None else Channels(geometry.mi, faces)
-            return cls(*averaged, own, directional, leaves)
-        rest = geometry.averaged(np.stack(texels[1:], axis=1)) if len(texels) > 1 else None
+        """Return the radiance of spectral channels of texels, K arrays (T,) or `kept`, and of faces, (F, K)."""
         own = None if faces is None else Channels(geometry.mi, faces)
+        if kept is not None:
+            return cls(kept.first, kept.rest, own, directional, leaves)
+        rest = geometry.averaged(np.stack(texels[1:], axis=1)) if len(texels) > 1 else None
         return cls(geometry.averaged(texels[0][:, None]), rest, own, directional, leaves)
 
     @property
@@ -55,21 +65,28 @@ class OutgoingRadiance:
             crown, patch = index // PATCHES, index % PATCHES
             first = crowns.first_texel, crowns.first_face
             texel, face = (dr.gather(mi.UInt32, each, crown) + patch for each in first)
-            found = self.at_texel(texel, face, True)
+            found = self.at_texel(geometry, texel, face, True)
             dr.eval(found)
             self._patches.append(found)
         return self._patches[0]
 
-    def at_texel(self, texel: Jit, face: Jit, active: Jit) -> list[Jit]:
+    def at_texel(self, geometry: Geometry, texel: Jit, face: Jit, active: Jit) -> list[Jit]:
         """Return all channels of texels seen on faces, as a list of Float; 0 where inactive."""
-        values = [part.at(texel, active) for part in (self.texels, self.rest) if part]
+        parts = (part for part in (self.texels, self.rest) if part)
+        values = [part.at(geometry.coarse_square(texel, active) if part.coarse else texel, active) for part in parts]
         return self._on(face, sum(values, list[Jit]()), active)
 
     def at(self, geometry: Geometry, hit: Hit, position: tuple[Jit, Jit]) -> list[Jit]:
         """Return all channels at positions (column, row) of a Hit, bilinear, as a list of Float."""
-        lattice = geometry.lattice(hit.surface, hit.valid)
-        values = [geometry.bilinear(part, lattice, *position, hit.valid) for part in (self.texels, self.rest) if part]
-        return self._on(hit.face, sum(values, list[Jit]()), hit.valid)
+        values = list[Jit]()
+        for part in (self.texels, self.rest):
+            if part:
+                level = geometry.finest(hit.surface, hit.valid) if part.coarse else None
+                scale = 1.0 if level is None else 1.0 / geometry.mi.Float(1 << level)
+                column, row = (scale * each for each in position)
+                lattice = geometry.lattice(hit.surface, hit.valid, level)
+                values += geometry.bilinear(part, lattice, column, row, hit.valid)
+        return self._on(hit.face, values, hit.valid)
 
     def _on(self, face: Jit, values: list[Jit], active: Jit) -> list[Jit]:
         added = self.faces.at(face, active) if self.faces else [0.0] * len(values)

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.render.arrays import Channels
 from thermorender.render.baked_light import BakedLight
 from thermorender.render.device import DeviceScene
 from thermorender.render.edits.prior import LeftOut, PriorLight, Samples
 from thermorender.render.geometry import Geometry
+from thermorender.render.layers import KeptTexels
 from thermorender.render.light.environment import Environment, of_scene
 from thermorender.render.light.solved import Kept
 from thermorender.render.light.walks import Walks
@@ -23,8 +23,7 @@ class Loaded:
     """Caches of a BakedLight in a process; an entry that is None is computed at first use."""
 
     geometry: Geometry | None = None
-    # Texels with their means as of `Geometry.averaged`, first and other channels; then `texels` are empty
-    averaged: tuple[Channels, Channels | None] | None = None
+    kept: KeptTexels | None = None  # texels that are in memory already; then `texels` are empty
     device: DeviceScene | None = None
     environment: Environment | None = None
     walks: Walks | None = None
@@ -58,7 +57,7 @@ class LoadedLight(BakedLight):
     def device(self) -> DeviceScene:
         """The DeviceScene, uploaded on first use."""
         if self.loaded.device is None:
-            self.loaded.device = DeviceScene(self, self.geometry, averaged=self.loaded.averaged)
+            self.loaded.device = DeviceScene(self, self.geometry, kept=self.loaded.kept)
         return self.loaded.device
 
     @property

@@ -1,7 +1,7 @@
 """The renderer: frames of one baked scene, each a function of camera, pose, time and objects alone."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from operator import index as whole
 from typing import TYPE_CHECKING, Any, Literal
@@ -166,6 +166,9 @@ class Renderer:
     def prepare(self) -> None:
         """Trace and solve what can be before the first frame."""
         _ = self.baked
+
+    def expect(self, poses: Iterable[ArrayLike]) -> None:
+        """Prepare for frames from poses in this order, beside those that are rendered."""
 
     def with_seed(self, seed: int) -> "Renderer":
         """Return this renderer with another seed of the sensor's noise."""

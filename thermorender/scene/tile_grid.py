@@ -17,11 +17,13 @@ _Three = tuple[float, float, float]
 # Texels and cells along a side of a tile, and texels around it that filters of pictures reach.
 TEXELS, APRON = 512, 16
 # Side of a texel over that of a pixel that shows it, at most; and of tiles that the camera does not look at.
-FOOTPRINT, ASIDE = 0.25, 4.0
+FOOTPRINT, ASIDE = 0.25, 16.0
+# On level ground seen at a slant a pixel is longer than wide: the geometric mean counts, up to so much of its width.
+_LONGER = 2.0**0.5
 # A cell is at most so wide and high for its height above ground.
-_CELL = 0.5
+_CELL = 0.25
 # Directions of view along a side of each face of a cube, and turns of a picture about its axis [rad].
-_FACING, _TURN = 12, np.radians(15.0)
+_FACING, _TURN = 24, np.radians(7.5)
 # How far a tilt of the axis may turn the picture about it, over the tilt; widest half angle of a pyramid [rad].
 _TWIST, _WIDEST = 1.0, np.radians(80.0)
 # Angle of a map's axes to those of a local frame, at most [rad].
@@ -113,7 +115,8 @@ class TileGrid:
             heights = between(box)
             low, high = np.array([box[0], box[1], heights[0]]), np.array([box[2], box[3], heights[1]])
             away = _distance(low, high, cell)
-            most = FOOTPRINT if _looks_at(low, high, cell) else ASIDE
+            sine = max((cell.high[2] - heights[0]) / max(away, 1e-9), 1e-9)
+            most = FOOTPRINT * float(np.clip(sine**-0.5, 1.0, _LONGER)) if _looks_at(low, high, cell) else ASIDE
             if tile.level and self.texel * 2.0**tile.level > most * slope * away:
                 stack += tile.below()
             else:

@@ -142,6 +142,8 @@ class Reading:
         return [value / mi.Float(count) for value in total], level
 
     def _read(self, geometry: Geometry, channels: Channels, hit: Hit, level: Jit) -> Callable[..., list[Jit]]:
+        if channels.coarse:
+            level = dr.maximum(level, geometry.finest(hit.surface, hit.valid))
         lattice = geometry.lattice(hit.surface, hit.valid, level)
         scale = 1.0 / self._mi.Float(1 << level)
 

@@ -16,11 +16,10 @@ from thermorender.scene.scene import Scene
 
 
 class DirectionalTexels:
-    """Data of the directional texels of one layer: `material` (T,) of all texels, `black` (n, K) from `black_of`."""
+    """Data of the directional texels of one layer: `number` (T,) is of the tables, `black` (n, K) from `black_of`."""
 
-    def __init__(self, mi: Mitsuba, tables: "DeviceTables", material: NDArray[np.integer], black: Floats) -> None:
+    def __init__(self, mi: Mitsuba, tables: "DeviceTables", number: NDArray[np.integer], black: Floats) -> None:
         self.tables = tables
-        number = tables.number[material]
         texels = np.flatnonzero(number)
         row = np.zeros(len(number), dtype=np.uint32)
         row[texels] = 1 + np.arange(len(texels))

@@ -81,7 +81,7 @@ def _reflected(
             dr.select(own, dr.opaque(mi.Float, geometry.reach), 0.0),
             dr.gather(mi.UInt32, directional.kind, row - 1, own),
             *directional.black.at(row - 1, own),
-            *layer.outgoing.at_texel(texel, face, own),
+            *layer.outgoing.at_texel(geometry, texel, face, own),
         ]
         total = [a + b for a, b in zip(total, found, strict=True)] if total else found
     normal, reach, kind = mi.Vector3f(*total[:3]), *total[3:5]

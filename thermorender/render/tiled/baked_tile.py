@@ -16,7 +16,7 @@ from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.tile_grid import Tile
 
 # A file of another version is not used: increase this when what a tile holds changes.
-VERSION = 3
+VERSION = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,10 @@ class BakedTile:
     colour: NDArray[np.uint8]  # (h, w, 3)
     flags: NDArray[np.uint8]  # (h, w)
     temperature: NDArray[np.float32]  # (h, w) [K]
-    texels: NDArray[np.float32]  # (K, h, w) radiance by channel [W m⁻² sr⁻¹]
+    first: NDArray[np.float32]  # (h, w) radiance of the first channel [W m⁻² sr⁻¹]
+    # (h, w, K − 1) of the others, about a hundredth of it: half precision is below a millikelvin. Of coarse tiles they
+    # are means over squares of two texels a side, (h/2, w/2, K − 1), as their texels are far smaller than pixels
+    rest: NDArray[np.float16]
     faces: NDArray[np.float32]  # (F, K) correction of each face [W m⁻² sr⁻¹]; (F, 0) where reflection is left out
     face_error: NDArray[np.float32]  # (F,) mean square error of the light [(W m⁻² sr⁻¹)²]; (0,) likewise
     errors_mk: NDArray[np.float64]  # (2,) solution and air of the square's light [mK]

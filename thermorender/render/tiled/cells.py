@@ -1,21 +1,19 @@
 """Baked tiles put together for the cameras of a cell: one baked scene in a frame of its own."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.atmosphere.rays import EARTH_RADIUS_M
 from thermorender.physics.geodesy import LocalFrame
-from thermorender.render.arrays import Channels, widths
 from thermorender.render.baked import BakedScene
 from thermorender.render.geometry import Geometry
 from thermorender.render.loaded import Loaded
-from thermorender.render.pixels import pyramid
 from thermorender.render.plan import Plan
 from thermorender.render.reflection.device_tables import black_of
 from thermorender.render.tiled.baked_tile import BakedTile
+from thermorender.render.tiled.texel_memory import TexelMemory
 from thermorender.render.variant import activate
 from thermorender.scene.far_ground import raised_m
 from thermorender.scene.scene import Scene
@@ -31,67 +29,42 @@ _NEAR, _NEAR_M = 4.0, 500.0
 _DEEPER, _DEEPER_M, _AROUND = 0.25, 10.0, 17
 
 
-@dataclass(frozen=True, eq=False)
-class LoadedTile:
-    """A BakedTile in memory: its texels with their means over squares, level after level."""
-
-    baked: BakedTile  # Without its texels
-    first: tuple[NDArray[np.float32], ...]  # (n, 1) of each level
-    rest: tuple[tuple[NDArray[np.float16], ...], ...]  # Of each level, (n, width) of the other channels' `widths`
-
-    @classmethod
-    def of(cls, baked: BakedTile) -> "LoadedTile":
-        """Return a BakedTile with the means of its texels."""
-        values = np.moveaxis(baked.texels, 0, -1)
-        first, rest = list[NDArray[np.float32]](), list[tuple[NDArray[np.float16], ...]]()
-        ends = np.cumsum(widths(values.shape[-1] - 1))[:-1]
-        for level in (values, *pyramid.squares(values)):
-            flat = level.reshape(-1, values.shape[-1])
-            first.append(np.ascontiguousarray(flat[:, :1]))
-            # A hundredth of the first channel: half precision is below a millikelvin.
-            parts = np.split(flat[:, 1:], ends, axis=1) if flat.shape[1] > 1 else []
-            rest.append(tuple(np.ascontiguousarray(part, np.float16) for part in parts))
-        return cls(replace(baked, texels=baked.texels[:, :0, :0]), tuple(first), tuple(rest))
-
-
 def assembled(
-    scene: Scene, plan: Plan, grid: TileGrid, tiles: Mapping[Tile, LoadedTile], frame: LocalFrame, above_m: float
+    scene: Scene, plan: Plan, grid: TileGrid, memory: TexelMemory, frame: LocalFrame, above_m: float
 ) -> BakedScene:
-    """Return the BakedScene of tiles in a frame; `above_m` is the cameras' height above ground [m]."""
+    """Return the BakedScene of the tiles in memory in a frame; `above_m` is the cameras' height above ground [m]."""
     surfaces, faces, errors = list[Surface](), list[NDArray[np.float32]](), list[NDArray[np.float32]]()
-    for tile, each in tiles.items():
-        baked = each.baked
+    tiles = dict(sorted(memory.tiles.items()))
+    kept, slots = memory.texels(activate(), tiles)
+    for tile, baked in tiles.items():
         surface, of_face = _surface(tile, baked, grid, frame, above_m)
         surfaces.append(surface)
         if baked.faces.shape[1]:
             faces.append(baked.faces[of_face])
             errors.append(baked.face_error[of_face])
-    geometry = Geometry(activate(), surfaces)
+    geometry = Geometry(activate(), surfaces, slots=slots)
     warm = [limit(surface.temperature) for surface in surfaces for limit in (np.min, np.max)]
     plan = replace(plan, coldest=float(min(warm)), warmest=float(max(warm)))
     own = scene.of_tiles(surfaces, frame)
     black = None
     if plan.specular:
-        material = np.concatenate([surface.material.ravel() for surface in surfaces])
-        if plan.specular.number[material].any():
-            kelvin = np.concatenate([surface.temperature.ravel() for surface in surfaces])
+        mirrors = np.zeros((memory.slots, surfaces[0].material.size), np.uint8)
+        for number, surface in zip(slots.of, surfaces, strict=True):
+            mirrors[number] = plan.specular.number[surface.material.ravel()]
+        kept = replace(kept, mirrors=mirrors.reshape(-1))
+        # In the order of their slots.
+        wet = [surfaces[number] for number in np.argsort(slots.of) if mirrors[slots.of[number]].any()]
+        if wet:
+            material, kelvin = (np.concatenate([getattr(each, name).ravel() for each in wet])
+                                for name in ("material", "temperature"))  # fmt: skip
             black = black_of(plan, plan.specular.number, material, kelvin)
-    worst = np.max([each.baked.errors_mk for each in tiles.values()], axis=0)
+    worst = np.max([each.errors_mk for each in tiles.values()], axis=0)
     errors_mk = {"solution": float(worst[0]), "noise": 0.0, "faces": 0.0, "texels": 0.0}
     if scene.air is not None:
         errors_mk["air"] = float(worst[1])
-    loaded = Loaded(geometry=geometry, averaged=_averaged(geometry, list(tiles.values())))
+    loaded = Loaded(geometry=geometry, kept=kept)
     lit, error = (np.concatenate(parts) if parts else None for parts in (faces, errors))
     return BakedScene(own, plan, None, None, (), lit, error, black, None, errors_mk, None, loaded)
-
-
-def _averaged(geometry: Geometry, tiles: Sequence[LoadedTile]) -> tuple[Channels, Channels | None]:
-    """The texels of tiles with their means: all of a level, then all of the next."""
-    levels = range(geometry.levels)
-    first = Channels.of_parts(geometry.mi, [[each.first[level]] for level in levels for each in tiles])
-    if not tiles[0].rest[0]:
-        return first, None
-    return first, Channels.of_parts(geometry.mi, [each.rest[level] for level in levels for each in tiles])
 
 
 def between(one: LocalFrame, other: LocalFrame) -> _Floats:

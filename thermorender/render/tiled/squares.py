@@ -1,6 +1,6 @@
 """Squares of tiles baked, each as a scene of its own with the ground around that its light comes from."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import drjit as dr
@@ -139,7 +139,8 @@ class Squares:
                         surface.colour[part].copy(),
                         surface.flags[part].copy(),
                         surface.temperature[part].copy(),
-                        np.stack([each[part] for each in texels]),
+                        texels[0][part].copy(),
+                        _means(texels[1:], part, 2 if first.level else 1),
                         baked.faces[face] if baked.faces is not None else np.zeros((len(face), 0), np.float32),
                         baked.face_error[face] + np.float32(within) + lost[face]
                         if lit and baked.face_error is not None
@@ -147,6 +148,15 @@ class Squares:
                         kept,
                     ),
                 )
+
+
+def _means(
+    texels: Sequence[NDArray[np.float32]], part: tuple[slice, ...], side: int
+) -> NDArray[np.float16]:
+    """Means of a part of channels over squares of `side` texels a side, (h/side, w/side, C)."""
+    rows, columns = ((each.stop - each.start) // side for each in part)
+    found = [each[part].reshape(rows, side, columns, side).mean(axis=(1, 3)) for each in texels]
+    return np.stack(found, axis=-1).astype(np.float16) if found else np.empty((rows, columns, 0), np.float16)
 
 
 def _without(posts: NDArray[np.float64], whole: NDArray[np.bool_]) -> NDArray[np.float64]:

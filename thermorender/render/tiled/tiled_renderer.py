@@ -1,23 +1,24 @@
 """The renderer of a tiled ground: a renderer for each cell of cameras, of the tiles that it needs."""
 
-from collections import OrderedDict
-from collections.abc import Sequence
+import gc
+from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from thermorender.cache import LIMITS, trim
 from thermorender.errors import ThermorenderError
-from thermorender.progress import interactive
 from thermorender.render.baked import Progress
+from thermorender.render.layers import OutgoingRadiance
 from thermorender.render.plan import make_plan
 from thermorender.render.renderer import Renderer, whole_number
 from thermorender.render.tiled.baked_tile import VERSION, TileStore
-from thermorender.render.tiled.cells import LoadedTile, assembled, between
+from thermorender.render.tiled.cells import assembled, between
+from thermorender.render.tiled.loading import TileLoader
 from thermorender.render.tiled.squares import ROWS, Squares
 from thermorender.render.view import View
 from thermorender.scene.georeference import place_of
@@ -32,11 +33,9 @@ if TYPE_CHECKING:
     from thermorender.render.dynamic import Objects
     from thermorender.render.pixels.parts import PixelParts
 
-# Renderers of cells in memory, each of some gigabytes.
-_CELLS_KEPT = 1
-# CPU time of a square on two cores, with a heat balance and at known temperatures [s]; bytes of a texel beside its
-# channels.
-_SQUARE_S, _TEXEL_BYTES = {False: 40.0, True: 15.0}, 10
+# CPU time of a square on two cores, with a heat balance and at known temperatures [s]; bytes of a texel on disk, with
+# one channel, and for each other one.
+_SQUARE_S, _TEXEL_BYTES = {False: 40.0, True: 15.0}, 14.0
 # Temperatures of tiles beyond those of the overview, for which spectral nodes are chosen [K].
 _WIDER_K = 15.0
 
@@ -68,10 +67,11 @@ class TiledRenderer(Renderer):
         key = (VERSION, scene.digest(), self.world.digest(), sampling, rows, self._geometry.mi.variant(), versions())
         self.store = TileStore(repr(key))
         self.squares = Squares(self.scene, self.plan, rows)
-        self._cells: OrderedDict[Cell, tuple[Renderer, NDArray[np.float64]]] = OrderedDict()
-        # Tiles of the cell that was made last.
-        self._loaded: dict[Tile, LoadedTile] = {}
-        self._note: str | None = None
+        self.loader = TileLoader(self.store, self.squares, self._progress)
+        # The cell that was made last.
+        self._made: tuple[Cell, Renderer, NDArray[np.float64]] | None = None
+        # {cell: the next one on the way}
+        self._next: dict[Cell, Cell] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, self._given
@@ -143,46 +143,28 @@ class TiledRenderer(Renderer):
         if not squares:
             return (line, *stays)
         hours = squares * _SQUARE_S[self._asked.temperature_state.solved] / 3600.0
-        size = tiles * self.world.grid.texels**2 * (_TEXEL_BYTES + 4 * self.plan.spectrum.channels)
+        size = tiles * self.world.grid.texels**2 * (_TEXEL_BYTES + 0.5 * (self.plan.spectrum.channels - 1))
         return (f"{line}: {squares} squares, about {hours:.2g} CPU hours and {size / 1e9:.2g} GB of disk", *stays)
-
-    def with_light(self, tiles: list[Tile]) -> dict[Tile, LoadedTile]:
-        """Return tiles with their light, from memory, the disk or baked now; those without ground are left out."""
-        found, missing = dict[Tile, LoadedTile | None](), list[Tile]()
-        for tile in tiles:
-            if tile in self._loaded:
-                found[tile] = self._loaded[tile]
-                continue
-            stored, known = self.store.load(tile)
-            if stored:
-                found[tile] = None if known is None else LoadedTile.of(known)
-            else:
-                missing.append(tile)
-        squares = sorted({self.squares.of(tile) for tile in missing})
-        with interactive(self._progress) as report:
-            for number, first in enumerate(squares):
-                if report:
-                    report(f"baking tiles: square {number + 1} of {len(squares)}", number / len(squares))
-                trim("tiles", LIMITS["tiles"])
-                for tile, baked in self.squares.bake(first).items():
-                    self._note = self.store.store(tile, baked) or self._note
-                    if tile in tiles:
-                        found[tile] = None if baked is None else LoadedTile.of(baked)
-        self._loaded = {tile: each for tile, each in sorted(found.items()) if each is not None}
-        return self._loaded
 
     def at(self, pose: ArrayLike) -> tuple[Renderer, NDArray[np.float64]]:
         """Return (the Renderer of the cell of a pose, the pose in its frame)."""
         cell, matrix = self.cell(pose), checked_pose(pose)
-        if cell not in self._cells:
-            while len(self._cells) >= _CELLS_KEPT:
-                self._cells.popitem(last=False)
-            self._cells[cell] = self._made(cell)
-        self._cells.move_to_end(cell)
-        renderer, to = self._cells[cell]
+        if self._made is None or self._made[0] != cell:
+            # Gigabytes: the former one goes first.
+            self._made = None
+            gc.collect()
+            self._made = cell, *self._renderer_of(cell)
+            if cell in self._next:
+                self.loader.read_ahead(self.tiles(self._next[cell]))
+        _, renderer, to = self._made
         return renderer, to @ matrix
 
-    def _made(self, cell: Cell) -> tuple[Renderer, NDArray[np.float64]]:
+    def expect(self, poses: Iterable[ArrayLike]) -> None:
+        """Prepare for frames from poses in this order: tiles of the next cell are read while one is in use."""
+        cells = list(dict.fromkeys(self.cell(pose) for pose in poses))
+        self._next = dict(pairwise(cells))
+
+    def _renderer_of(self, cell: Cell) -> tuple[Renderer, NDArray[np.float64]]:
         """(Renderer of a cell, transform from the scene's frame to its own)."""
         own = self.scene.frame
         assert own is not None
@@ -190,12 +172,12 @@ class TiledRenderer(Renderer):
         longitude, latitude = self._lon_lat(x, y)
         frame = type(own)(latitude, longitude, own.height_m)
         above_m = height - self.ground_m(x, y)
-        tiles = self.with_light(self.tiles(cell))
-        if not tiles:
+        memory = self.loader.load(self.tiles(cell))
+        if not memory.tiles:
             raise ThermorenderError(
                 f"{self.scene.where}: terrain.tiles has no ground around the camera; give a pose over it"
             )
-        baked = assembled(self.scene, self.plan, self.world.grid, tiles, frame, max(above_m, 0.0))
+        baked = assembled(self.scene, self.plan, self.world.grid, memory, frame, max(above_m, 0.0))
         return Renderer.of(baked, self.seed), between(own, frame)
 
     def _lon_lat(self, x: float, y: float) -> tuple[float, float]:
@@ -207,13 +189,19 @@ class TiledRenderer(Renderer):
     @property
     def cache_note(self) -> str | None:
         """Why baked tiles could not be kept on disk."""
-        return self._note
+        return self.loader.note
 
     def visible(
         self, pose: ArrayLike, camera: Camera | None = None, time_s: float = 0.0, objects: "Objects | None" = None
     ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         """Return the orthophoto seen from `pose`, as of `Renderer.visible`."""
+        if not self.loader.memory.coloured:
+            self.loader.memory.keep_colours()
+            self._made = None
         renderer, own = self.at(pose)
+        if renderer._coloured is None:
+            colours = self.loader.memory.colours(renderer._geometry.mi)
+            renderer._coloured = [(renderer._geometry, OutgoingRadiance(colours))]
         return renderer.visible(own, camera, time_s, objects)
 
     def sky(

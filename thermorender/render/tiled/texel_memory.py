@@ -1,0 +1,135 @@
+"""Texels of tiles in memory: each tile in a slot of arrays that the kernels read in place.
+
+The arrays have many more slots than a view needs. The system gives memory to the pages that were written only, and a
+tile that comes next takes the slot of one that is no longer needed.
+"""
+
+from collections.abc import Collection, Iterable
+from dataclasses import replace
+from threading import RLock
+from weakref import finalize
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.errors import ThermorenderError
+from thermorender.physics.srgb import linear_from_bytes
+from thermorender.render.arrays import Channels, Mitsuba, widths
+from thermorender.render.geometry import Slots
+from thermorender.render.layers import KeptTexels
+from thermorender.render.pixels import pyramid
+from thermorender.render.tiled.baked_tile import BakedTile
+from thermorender.scene.surface import FILLED
+from thermorender.scene.tile_grid import Tile
+
+# Slots of a memory, and numbers of texels, which are below 2³¹.
+SLOTS, _MOST = 768, 2**31 - 1
+
+
+class TexelMemory:
+    """Texels of `side`² a tile with their means over squares; `tiles` are BakedTiles without what is kept here.
+
+    Renderers of earlier cells, which frames may hold, keep their slots. Threads may call all methods.
+    """
+
+    def __init__(self, side: int, channels: int, slots: int = SLOTS) -> None:
+        count = [rows * columns for rows, columns in pyramid.sizes(side, side)]
+        if slots * sum(count) > _MOST:
+            raise ThermorenderError(
+                f"the view needs more than {_MOST // sum(count) // 2} tiles; give a camera of fewer pixels"
+            )
+        self.slots, self._side, self._count = slots, side, count
+        self.tiles, self._slot = dict[Tile, BakedTile](), dict[Tile, int]()
+        self._free = list(range(slots))[::-1]
+        # How many KeptTexels use each slot.
+        self._users, self._lock = np.zeros(slots, np.int64), RLock()
+        self._first = np.empty((slots * sum(count), 1), np.float32)
+        self._rest = [np.empty((slots * sum(count), width), np.float16) for width in widths(channels - 1)]
+        # Level that the latter begin with in each slot.
+        self._finest = np.zeros(slots, np.uint32)
+        shape = slots, side, side
+        self._material, self._flags = np.empty(shape, np.uint8), np.empty(shape, np.uint8)
+        self._temperature = np.empty(shape, np.float32)
+        # Linear colours, and 1 where they are known; None until they are asked for.
+        self._colour: NDArray[np.float16] | None = None
+
+    @property
+    def coloured(self) -> bool:
+        """Whether colours are kept."""
+        return self._colour is not None
+
+    def room_for(self, tiles: Collection[Tile]) -> bool:
+        """Return whether tiles find slots, if those in memory stay."""
+        return len(set(tiles).difference(self.tiles)) <= len(self._free)
+
+    def put(self, tile: Tile, baked: BakedTile) -> None:
+        """Keep a tile that is not in memory."""
+        with self._lock:
+            slot = self._free.pop()
+        for number, level in enumerate(_levels(baked.first[..., None])):
+            self._part(self._first, number, slot)[...] = level.reshape(-1, 1)
+        finest = self._finest[slot] = int(baked.rest.shape[0] < self._side)
+        ends = np.cumsum(widths(baked.rest.shape[-1]))[:-1]
+        for number, level in enumerate(_levels(baked.rest.astype(np.float32)), start=finest):
+            for kept, part in zip(self._rest, np.split(level, ends, axis=-1), strict=True):
+                self._part(kept, number, slot)[...] = part.reshape(-1, kept.shape[1])
+        if self._colour is not None:
+            known = (baked.flags & FILLED) == 0
+            colour = np.concatenate([linear_from_bytes(baked.colour), known[..., None]], axis=-1, dtype=np.float32)
+            for number, level in enumerate(_levels(colour)):
+                self._part(self._colour, number, slot)[...] = level.reshape(-1, 4)
+        material, flags, temperature = self._material[slot], self._flags[slot], self._temperature[slot]
+        material[...], flags[...], temperature[...] = baked.material, baked.flags, baked.temperature
+        left = replace(
+            baked, material=material, flags=flags, temperature=temperature, first=baked.first[:0].copy(),
+            rest=baked.rest[:0].copy(), colour=np.broadcast_to(np.uint8(0), baked.colour.shape),
+        )  # fmt: skip
+        with self._lock:
+            self._slot[tile], self.tiles[tile] = slot, left
+
+    def keep(self, tiles: Iterable[Tile]) -> None:
+        """Forget all tiles but some."""
+        with self._lock:
+            for tile in set(self.tiles).difference(tiles):
+                del self.tiles[tile]
+                slot = self._slot.pop(tile)
+                if not self._users[slot]:
+                    self._free.append(slot)
+
+    def keep_colours(self) -> None:
+        """Keep the colours of tiles from now on; those in memory are forgotten."""
+        self._colour = np.empty((self.slots * sum(self._count), 4), np.float16)
+        self.keep(())
+
+    def texels(self, mi: Mitsuba, tiles: Iterable[Tile]) -> tuple[KeptTexels, Slots]:
+        """Return (texels for kernels, the Slots of tiles). The slots are kept as long as the texels are."""
+        rest = Channels.of_arrays(mi, self._rest, coarse=True) if self._rest else None
+        first = Channels.of_arrays(mi, [self._first])
+        found = KeptTexels(first, rest, self._material.reshape(-1), self._flags.reshape(-1),
+                           self._temperature.reshape(-1))  # fmt: skip
+        with self._lock:
+            slot = np.array([self._slot[tile] for tile in tiles], np.int64)
+            self._users[slot] += 1
+        finalize(found, self._release, slot)
+        return found, Slots(self.slots, slot, self._finest.copy())
+
+    def _release(self, slots: NDArray[np.int64]) -> None:
+        with self._lock:
+            self._users[slots] -= 1
+            own = set(self._slot.values())
+            self._free += [slot for slot in slots.tolist() if not self._users[slot] and slot not in own]
+
+    def colours(self, mi: Mitsuba) -> Channels:
+        """Return the linear colours for kernels, and 1 where they are known."""
+        assert self._colour is not None
+        return Channels.of_arrays(mi, [self._colour])
+
+    def _part(self, whole: NDArray[np.floating], level: int, slot: int) -> NDArray[np.floating]:
+        """The squares of a level of a slot."""
+        first = self.slots * sum(self._count[:level]) + slot * self._count[level]
+        return whole[first : first + self._count[level]]
+
+
+def _levels(values: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    """Texels (rows, columns, C) and their means over squares of 2, 4, 8 … a side."""
+    return [values, *pyramid.squares(values)]
