@@ -1,5 +1,6 @@
 """Tiled ground: frames equal those of one piece, whatever is cut, kept on disk or damaged there."""
 
+import gc
 import pickle
 from dataclasses import replace
 
@@ -14,8 +15,9 @@ from thermorender.cache import cache_folder
 from thermorender.errors import ThermorenderError
 from thermorender.output.flight import FlightOptions
 from thermorender.render.renderer import Renderer
-from thermorender.render.tiled.cells import LoadedTile, assembled
+from thermorender.render.tiled.cells import assembled
 from thermorender.render.tiled.squares import Squares
+from thermorender.render.tiled.texel_memory import TexelMemory
 from thermorender.render.tiled.tiled_renderer import TiledRenderer
 from thermorender.scene import world as worlds
 from thermorender.scene.georeference import place_of
@@ -112,9 +114,18 @@ def in_one_piece(renderer, pose):
 
     whole = Whole(renderer.scene, renderer.plan, 1)
     baked = whole.bake(Tile(0, 0, 0))
-    tiles = {tile: LoadedTile.of(each) for tile, each in baked.items() if each is not None}
-    baked = assembled(renderer.scene, renderer.plan, whole.world.grid, tiles, cell.scene.frame, 50.0)
+    memory = TexelMemory(whole.world.grid.texels + 2 * APRON, renderer.plan.spectrum.channels, slots=1)
+    for tile, each in baked.items():
+        memory.put(tile, each)
+    baked = assembled(renderer.scene, renderer.plan, whole.world.grid, memory, cell.scene.frame, 50.0)
     return Renderer.of(baked), own
+
+
+def radiance(tile, weights):
+    """Weighted sum of the channels of a tile, (h, w)."""
+    side = len(tile.first) // len(tile.rest)
+    rest = np.kron(tile.rest.astype(float) @ weights[1:], np.ones((side, side)))
+    return weights[0] * tile.first.astype(float) + rest
 
 
 VIEWS = [((0, 0, 40, 0, -90, 0), 1.0), ((0, -30, 30, 20, -45, 0), 1.0), ((-20, -50, 18, 10, -12, 0), 1.0)]
@@ -198,6 +209,59 @@ def test_tiles_on_disk_serve_again_and_are_not_baked(tmp_path, monkeypatch, own_
     other = renderer_of(folder, monkeypatch, quality="fast", rays=32)
     with pytest.raises(AssertionError, match="is baked"):
         other.frame(pose)
+
+
+def test_a_frame_keeps_its_tiles_while_later_frames_load_others(tmp_path, monkeypatch, own_cache):
+    renderer = renderer_of(write_tiled(tmp_path / "scene"), monkeypatch, quality="fast")
+    poses = [renderer.scene.pose(east, -30.0, 12.0, 0.0, -80.0, 0.0) for east in (-30.0, 30.0, 0.0)]
+    true = [renderer.frame(pose).truth["kinetic_temperature"] for pose in poses]
+    first = renderer.frame(poses[0])
+    memory = renderer.loader.memory
+    for pose in poses[1:]:
+        memory.keep(())
+        memory._temperature[memory._free] = 0.0
+        renderer._made = None
+        renderer.radiance(pose)
+    assert renderer.loader.memory is memory
+    np.testing.assert_array_equal(first.truth["kinetic_temperature"], true[0])
+    # Without the frame its slots are free again.
+    del first
+    gc.collect()
+    renderer._made = None
+    gc.collect()
+    memory.keep(())
+    assert len(memory._free) == memory.slots
+
+
+def test_tiles_that_are_read_ahead_are_those_of_the_next_cell_on_the_way(tmp_path, monkeypatch, own_cache):
+    folder = write_tiled(tmp_path / "scene")
+    renderer = renderer_of(folder, monkeypatch, quality="fast")
+    poses = [renderer.scene.pose(east, -30.0, 25.0, 90.0, -50.0, 0.0) for east in (-40.0, 20.0)]
+    alone = [renderer.frame(pose).radiance for pose in poses]
+    again = renderer_of(folder, monkeypatch, quality="fast")
+    again.expect(poses)
+    found = [again.frame(poses[0]).radiance]
+    for each in again.loader._ahead:
+        each.result()
+    new = set(again.tiles(again.cell(poses[1]))) - set(again.tiles(again.cell(poses[0])))
+    assert new and new <= set(again.loader.memory.tiles) | again.loader._bare
+    found += [again.frame(pose).radiance for pose in poses[1:]]
+    for one, other in zip(alone, found, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_colours_of_tiles_are_those_of_the_picture_from_the_first_view_on(tmp_path, monkeypatch, own_cache):
+    folder = write_tiled(tmp_path / "scene")
+    renderer = renderer_of(folder, monkeypatch, quality="fast")
+    poses = [renderer.scene.pose(east, -30.0, 12.0, 0.0, -80.0, 0.0) for east in (-30.0, 30.0)]
+    renderer.radiance(poses[0])
+    late = [renderer.visible(pose) for pose in poses]
+    again = renderer_of(folder, monkeypatch, quality="fast")
+    for pose, (image, known) in zip(poses, late, strict=True):
+        own, valid = again.visible(pose)
+        np.testing.assert_array_equal(own, image)
+        np.testing.assert_array_equal(valid, known)
+        assert valid.mean() > 0.5 and own[valid].std() > 20.0
 
 
 def test_frames_state_pose_and_positions_in_the_frame_of_the_scene(tmp_path, monkeypatch, own_cache):
@@ -310,13 +374,13 @@ def test_coarse_tiles_state_the_relief_that_they_leave_out(tmp_path, monkeypatch
     sums, per_mk = renderer.plan.spectrum.solver.sum(axis=0), renderer.plan.radiance_per_mk
     coarse = renderer.squares.bake(Tile(2, 0, 0))[Tile(2, 0, 0)]
     inner = slice(APRON, -APRON)
-    shown = np.tensordot(sums, coarse.texels[:, inner, inner].astype(float), (0, 0))
+    shown = radiance(coarse, sums)[inner, inner]
     fine = np.zeros((4 * 64, 4 * 64))
     for row in (0, 2):
         for column in (0, 2):
             for tile, baked in renderer.squares.bake(Tile(0, row, column)).items():
                 part = tuple(slice(64 * k, 64 * k + 64) for k in (tile.row, tile.column))
-                fine[part] = np.tensordot(sums, baked.texels[:, inner, inner].astype(float), (0, 0))
+                fine[part] = radiance(baked, sums)[inner, inner]
     off = (shown - fine.reshape(64, 4, 64, 4).mean(axis=(1, 3))) / per_mk
     true = np.sqrt(np.mean(np.square(off.reshape(16, 4, 16, 4).mean(axis=(1, 3)))))
     stated = np.sqrt(coarse.face_error.mean()) / per_mk

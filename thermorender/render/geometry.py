@@ -67,12 +67,11 @@ class Geometry:
         self.face_start = np.cumsum([0] + [len(surface.faces) for surface in surfaces])
         self.texel_start = np.cumsum([0] + [surface.material.size for surface in surfaces])
         self.face_count = int(self.face_start[-1])
-        # (F,) float64: area of each face [m²], and below its share of the total area.
+        # (F,) float64: area of each face [m²].
         self.area = 0.5 * np.linalg.norm(of_faces(surfaces, _across, (3,), np.float64), axis=1)
         for first, surface in zip(self.face_start, surfaces, strict=False):
             if surface.instances is not None:
                 self.area[first : first + len(surface.faces)] = surface.instances.area
-        self.share = self.area / max(self.area.sum(), 1e-300)
         # Largest vertex coordinate along any axis [m], without far ground and with it.
         near = [surface for surface in surfaces if not surface.far] or surfaces
         self.reach, self._far_reach = (
@@ -138,6 +137,11 @@ class Geometry:
             return hair
         along = dr.maximum(dr.maximum(dr.abs(point.x), dr.abs(point.y)), dr.abs(point.z))
         return dr.maximum(hair, dr.opaque(mi.Float, _STEPS) * (1.0 + along))
+
+    @cached_property
+    def share(self) -> Floats:
+        """Area of each face over that of all, (F,)."""
+        return self.area / max(self.area.sum(), 1e-300)
 
     @cached_property
     def joined(self) -> Jit | None:

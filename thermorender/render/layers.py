@@ -24,6 +24,8 @@ class KeptTexels:
     material: NDArray[np.uint8]  # (T,)
     flags: NDArray[np.uint8]  # (T,)
     temperature: NDArray[np.float32]  # (T,) [K]
+    lease: object  # Keeps the texels as long as it lives
+    faces: Channels | None = None  # Corrections of the faces
     mirrors: NDArray[np.uint8] | None = None  # (T,) numbers of the directional texels' tables; None without any
 
 
@@ -46,9 +48,9 @@ class OutgoingRadiance:
         kept: KeptTexels | None = None,
     ) -> "OutgoingRadiance":  # fmt: skip
         """Return the radiance of spectral channels of texels, K arrays (T,) or `kept`, and of faces, (F, K)."""
-        own = None if faces is None else Channels(geometry.mi, faces)
         if kept is not None:
-            return cls(kept.first, kept.rest, own, directional, leaves)
+            return cls(kept.first, kept.rest, kept.faces, directional, leaves)
+        own = None if faces is None else Channels(geometry.mi, faces)
         rest = geometry.averaged(np.stack(texels[1:], axis=1)) if len(texels) > 1 else None
         return cls(geometry.averaged(texels[0][:, None]), rest, own, directional, leaves)
 

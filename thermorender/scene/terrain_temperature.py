@@ -85,8 +85,9 @@ def temperatures(
             f"[temperature] has source={spec_temperature.source!r}; give the object kelvin, or source='balance' with "
             "[weather]"
         )
-    nothing = [np.zeros(surface.flags.shape, np.uint8) for surface in shape.ground]
-    waiting = [np.full(surface.flags.shape, np.nan, np.float32) for surface in shape.ground]
+    # Placeholders without memory of their own.
+    nothing = [np.broadcast_to(np.uint8(0), surface.flags.shape) for surface in shape.ground]
+    waiting = [np.broadcast_to(np.float32(np.nan), surface.flags.shape) for surface in shape.ground]
     if follows == "conditional":
         return Temperatures(waiting, nothing, Pending(Conditional(temperature_map)))
     if follows == "balance":
@@ -94,7 +95,7 @@ def temperatures(
     report: dict[str, Any] = {}
     if given:
         kelvin = [surface.temperature for surface in shape.ground]
-        flags = [surface.flags & np.uint8(FALLBACK | UNMOVED) for surface in shape.ground]
+        flags = [_some(surface.flags & np.uint8(FALLBACK | UNMOVED)) for surface in shape.ground]
     else:
         if given_kelvin is not None:
             found = [_filled(values, surface) for values, surface in zip(given_kelvin, shape.ground, strict=True)]
@@ -110,6 +111,11 @@ def temperatures(
     assert weather is not None
     moved = Moved(tuple(kelvin), weather, map_error_k(spec_temperature, temperature_map))
     return Temperatures(waiting, flags, Pending(moved, report))
+
+
+def _some(flags: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Flags, without memory of their own where none is set."""
+    return flags if flags.any() else np.broadcast_to(np.uint8(0), flags.shape)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ _LONGER = 2.0**0.5
 # A cell is at most so wide and high for its height above ground.
 _CELL = 0.25
 # Directions of view along a side of each face of a cube, and turns of a picture about its axis [rad].
-_FACING, _TURN = 24, np.radians(7.5)
+_FACING, _TURN = 32, np.radians(7.5)
 # How far a tilt of the axis may turn the picture about it, over the tilt; widest half angle of a pyramid [rad].
 _TWIST, _WIDEST = 1.0, np.radians(80.0)
 # Angle of a map's axes to those of a local frame, at most [rad].

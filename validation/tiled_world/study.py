@@ -20,11 +20,12 @@ from thermorender.apps.compare import machine
 from thermorender.apps.compare.machine import forget_peak_memory, peak_memory_mib
 from thermorender.paths import data_folder
 from thermorender.render.renderer import Renderer
-from thermorender.render.tiled.cells import LoadedTile, assembled
+from thermorender.render.tiled.cells import assembled
 from thermorender.render.tiled.squares import Squares
+from thermorender.render.tiled.texel_memory import TexelMemory
 from thermorender.render.tiled.tiled_renderer import TiledRenderer
 from thermorender.scene.load import load_scene
-from thermorender.scene.tile_grid import Tile
+from thermorender.scene.tile_grid import APRON, Tile
 from thermorender.scene.world import world_of
 from thermorender.versions import versions
 from validation.tiled_world import lazy_world
@@ -104,12 +105,14 @@ def one_piece(scene, views, device):
         )))  # fmt: skip
 
     whole = Whole(renderer.scene, renderer.plan, 1)
-    tiles = {tile: LoadedTile.of(each) for tile, each in whole.bake(Tile(0, 0, 0)).items()}
+    memory = TexelMemory(whole.world.grid.texels + 2 * APRON, renderer.plan.spectrum.channels, slots=1)
+    for tile, each in whole.bake(Tile(0, 0, 0)).items():
+        memory.put(tile, each)
     found = []
     for east, north, up, yaw, pitch in views:
         pose = renderer.scene.pose(east, north, up, yaw, pitch, 0.0)
         cell, own = renderer.at(pose)
-        one = Renderer.of(assembled(renderer.scene, renderer.plan, whole.world.grid, tiles, cell.scene.frame, up))
+        one = Renderer.of(assembled(renderer.scene, renderer.plan, whole.world.grid, memory, cell.scene.frame, up))
         frames = cell.frame(own), one.frame(own)
         shown = np.isfinite(frames[0].truth["depth"])
         off = 1e3 * (frames[0].apparent_temperature - frames[1].apparent_temperature)[shown].astype(np.float64)
@@ -159,8 +162,9 @@ def coarse_tiles(scene, device):
     baked = renderer.squares.bake(top)[top]
 
     def radiance(tile):
-        rim = (tile.texels.shape[1] - texels) // 2
-        return np.tensordot(sums, tile.texels[:, rim:-rim, rim:-rim].astype(np.float64), (0, 0))
+        side = len(tile.first) // len(tile.rest)
+        rest = np.kron(tile.rest.astype(np.float64) @ sums[1:], np.ones((side, side)))
+        return (sums[0] * tile.first.astype(np.float64) + rest)[APRON:-APRON, APRON:-APRON]
 
     fine = np.zeros((4 * texels, 4 * texels))
     for row in (0, 2):
@@ -187,10 +191,10 @@ def flight_costs(scene, flight, device, folder, report):
     start, core = time.perf_counter(), time.process_time()
     forecast = renderer.outlook(np.array(poses))[0]
     for number, tiles in enumerate(needed):
-        renderer.with_light(tiles)
+        renderer.loader.load(tiles)
         report((number + 1) / len(needed))
     baked = time.process_time() - core
-    renderer._loaded.clear()
+    renderer.loader.load(())
     made, frames, last = [], [], None
     for pose, cell in zip(poses, cells, strict=True):
         start = time.perf_counter()

@@ -16,7 +16,7 @@ from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.tile_grid import Tile
 
 # A file of another version is not used: increase this when what a tile holds changes.
-VERSION = 5
+VERSION = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class BakedTile:
     # (h, w, K − 1) of the others, about a hundredth of it: half precision is below a millikelvin. Of coarse tiles they
     # are means over squares of two texels a side, (h/2, w/2, K − 1), as their texels are far smaller than pixels
     rest: NDArray[np.float16]
-    faces: NDArray[np.float32]  # (F, K) correction of each face [W m⁻² sr⁻¹]; (F, 0) where reflection is left out
+    faces: NDArray[np.float16]  # (F, K) correction of each face [W m⁻² sr⁻¹]; (F, 0) where reflection is left out
     face_error: NDArray[np.float32]  # (F,) mean square error of the light [(W m⁻² sr⁻¹)²]; (0,) likewise
     errors_mk: NDArray[np.float64]  # (2,) solution and air of the square's light [mK]
 

@@ -1,12 +1,15 @@
 """Baked tiles put together for the cameras of a cell: one baked scene in a frame of its own."""
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.atmosphere.rays import EARTH_RADIUS_M
 from thermorender.physics.geodesy import LocalFrame
+from thermorender.render.arrays import Channels, Mitsuba, widths
 from thermorender.render.baked import BakedScene
 from thermorender.render.geometry import Geometry
 from thermorender.render.loaded import Loaded
@@ -33,20 +36,22 @@ def assembled(
     scene: Scene, plan: Plan, grid: TileGrid, memory: TexelMemory, frame: LocalFrame, above_m: float
 ) -> BakedScene:
     """Return the BakedScene of the tiles in memory in a frame; `above_m` is the cameras' height above ground [m]."""
-    surfaces, faces, errors = list[Surface](), list[NDArray[np.float32]](), list[NDArray[np.float32]]()
+    surfaces, of_faces = list[Surface](), list[NDArray[np.intp]]()
     tiles = dict(sorted(memory.tiles.items()))
     kept, slots = memory.texels(activate(), tiles)
     for tile, baked in tiles.items():
         surface, of_face = _surface(tile, baked, grid, frame, above_m)
         surfaces.append(surface)
-        if baked.faces.shape[1]:
-            faces.append(baked.faces[of_face])
-            errors.append(baked.face_error[of_face])
+        of_faces.append(of_face)
     geometry = Geometry(activate(), surfaces, slots=slots)
     warm = [limit(surface.temperature) for surface in surfaces for limit in (np.min, np.max)]
     plan = replace(plan, coldest=float(min(warm)), warmest=float(max(warm)))
     own = scene.of_tiles(surfaces, frame)
-    black = None
+    error = black = None
+    if plan.bake:
+        each = list(zip(tiles.values(), of_faces, strict=True))
+        error = np.concatenate([baked.face_error[of] for baked, of in each])
+        kept = replace(kept, faces=_corrections(geometry.mi, [baked.faces[of] for baked, of in each]))
     if plan.specular:
         mirrors = np.zeros((memory.slots, surfaces[0].material.size), np.uint8)
         for number, surface in zip(slots.of, surfaces, strict=True):
@@ -63,8 +68,14 @@ def assembled(
     if scene.air is not None:
         errors_mk["air"] = float(worst[1])
     loaded = Loaded(geometry=geometry, kept=kept)
-    lit, error = (np.concatenate(parts) if parts else None for parts in (faces, errors))
-    return BakedScene(own, plan, None, None, (), lit, error, black, None, errors_mk, None, loaded)
+    return BakedScene(own, plan, None, None, (), None, error, black, None, errors_mk, None, loaded)
+
+
+def _corrections(mi: Mitsuba, parts: Sequence[NDArray[np.float16]]) -> Channels:
+    """Channels of faces, (n, K) of each tile."""
+    ends = np.cumsum(widths(parts[0].shape[1]))
+    groups = (slice(end - width, end) for end, width in zip(ends, widths(parts[0].shape[1]), strict=True))
+    return Channels.of_arrays(mi, [np.concatenate([part[:, group] for part in parts]) for group in groups])
 
 
 def between(one: LocalFrame, other: LocalFrame) -> _Floats:
@@ -89,34 +100,33 @@ def _depth(height: _Floats, step: float) -> _Floats:
     return np.minimum(_DEEPER * step, _DEEPER_M) + relief
 
 
-def _surface(
-    tile: Tile, baked: BakedTile, grid: TileGrid, frame: LocalFrame, above_m: float
-) -> tuple[Surface, NDArray[np.intp]]:
-    """(Surface of a tile with skirts, the face of the tile that each of its faces shows)."""
-    to = between(baked.frame, frame)
-    posts = baked.posts.astype(np.float64) @ to[:3, :3].T + to[:3, 3]
-    posts[..., 2] += raised_m(posts[..., 0], posts[..., 1])
-    known = np.isfinite(posts[..., 2])
-    count = grid.cells + 1
-    size = grid.texels + 2 * APRON
-    at = (APRON + np.arange(count) * (grid.texels / grid.cells)) / size
+@dataclass(frozen=True, eq=False)
+class _Mesh:
+    """The triangles of a tile with skirts below its four edges; tiles without a hole share one."""
+
+    used: NDArray[np.intp]  # (V,) the vertices, by number of the posts and then of the edges' lower ends
+    faces: NDArray[np.int32]  # (F, 3)
+    uv: NDArray[np.float32]  # (F, 3, 2)
+    of_face: NDArray[np.intp]  # (F,) the face of the tile that each one shows
+
+
+def _edges(index: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
+    """The posts, or cells, (n, n) along the edges of a tile, with its ground on their left."""
+    return index[:, 0], index[-1], index[::-1, -1], index[0, ::-1]
+
+
+@lru_cache(maxsize=8)
+def _mesh(whole: bytes, cells: int, texels: int) -> _Mesh:
+    """The _Mesh of cells with ground, (cells, cells) bool."""
+    ground = np.frombuffer(whole, np.bool_).reshape(cells, cells)
+    count, size = cells + 1, texels + 2 * APRON
+    at = (APRON + np.arange(count) * (texels / cells)) / size
     uv = np.stack(np.meshgrid(at, at), axis=-1).reshape(-1, 2)
     index = np.arange(count * count).reshape(count, count)
-    # Of a cell without ground one post at least has none.
-    whole = whole_cells(known)
-    faces = triangles(whole)
-    number = np.where(whole, np.cumsum(whole.ravel()).reshape(whole.shape) - 1, -1)
-    step = grid.side(tile.level) / grid.cells
-    points, rows, of_face = [posts.reshape(-1, 3)], [faces], [np.arange(len(faces))]
-    first = count * count
-    edges = (
-        (index[:, 0], number[:, 0], 0), (index[-1], number[-1], 0),
-        (index[::-1, -1], number[::-1, -1], 1), (index[0, ::-1], number[0, ::-1], 1),
-    )  # fmt: skip
-    for edge, cell, second in edges:
-        up = posts.reshape(-1, 3)[edge]
-        low = up.copy()
-        low[:, 2] -= _depth(over_round_earth(up, EARTH_RADIUS_M), step)
+    faces = triangles(ground)
+    number = np.where(ground, np.cumsum(ground.ravel()).reshape(ground.shape) - 1, -1)
+    rows, of_face, first = [faces], [np.arange(len(faces))], count * count
+    for edge, cell, second in zip(_edges(index), _edges(number), (0, 0, 1, 1), strict=True):
         there = cell >= 0
         p, q = edge[:-1][there], edge[1:][there]
         lower = first + np.arange(count)
@@ -124,18 +134,34 @@ def _surface(
         rows.append(np.stack([np.stack([p, p_low, q_low], axis=-1), np.stack([p, q_low, q], axis=-1)], axis=1)
                     .reshape(-1, 3))  # fmt: skip
         of_face.append(np.repeat(2 * cell[there] + second, 2))
-        points.append(low)
         first += count
         uv = np.concatenate([uv, uv[edge]])
-    vertices, faces = np.nan_to_num(np.concatenate(points)), np.concatenate(rows)
-    used, number_of = np.unique(faces, return_inverse=True)
-    corners = number_of.reshape(-1, 3).astype(np.int32)
-    vertices, uv = vertices[used], uv[used]
+    used, corner = np.unique(np.concatenate(rows).astype(np.intp), return_inverse=True)
+    corner = corner.reshape(-1, 3)
+    return _Mesh(used, corner.astype(np.int32), uv[used][corner].astype(np.float32), np.concatenate(of_face))
+
+
+def _surface(
+    tile: Tile, baked: BakedTile, grid: TileGrid, frame: LocalFrame, above_m: float
+) -> tuple[Surface, NDArray[np.intp]]:
+    """(Surface of a tile with skirts, the face of the tile that each of its faces shows)."""
+    to = between(baked.frame, frame)
+    posts = baked.posts.astype(np.float64) @ to[:3, :3].T + to[:3, 3]
+    posts[..., 2] += raised_m(posts[..., 0], posts[..., 1])
+    # Of a cell without ground one post at least has none.
+    mesh = _mesh(whole_cells(np.isfinite(posts[..., 2])).tobytes(), grid.cells, grid.texels)
+    step = grid.side(tile.level) / grid.cells
+    points = [posts.reshape(-1, 3)]
+    for edge in _edges(np.arange(points[0].shape[0]).reshape(posts.shape[:2])):
+        low = points[0][edge]
+        low[:, 2] -= _depth(over_round_earth(low, EARTH_RADIUS_M), step)
+        points.append(low)
+    vertices = np.nan_to_num(np.concatenate(points)[mesh.used])
     low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
     away = float(np.linalg.norm(np.maximum(np.maximum(low, -high), 0.0)))
     surface = Surface(
-        name="terrain", vertices=vertices, faces=corners, uv=uv[corners].astype(np.float32), colour=baked.colour,
+        name="terrain", vertices=vertices, faces=mesh.faces, uv=mesh.uv, colour=baked.colour,
         material=baked.material, temperature=baked.temperature, flags=baked.flags,
         texel_m=grid.texel * 2.0**tile.level, far=away > max(_NEAR * above_m, _NEAR_M), joined=True,
     )  # fmt: skip
-    return surface, np.concatenate(of_face)
+    return surface, mesh.of_face

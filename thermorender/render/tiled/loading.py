@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from thermorender.cache import LIMITS, trim
 from thermorender.progress import interactive
 from thermorender.render.baked import Progress
-from thermorender.render.tiled.baked_tile import TileStore
+from thermorender.render.tiled.baked_tile import BakedTile, TileStore
 from thermorender.render.tiled.squares import Squares
 from thermorender.render.tiled.texel_memory import SLOTS, TexelMemory
 from thermorender.scene.tile_grid import APRON, Tile
@@ -28,55 +28,60 @@ class TileLoader:
 
     def __post_init__(self) -> None:
         """Begin with an empty memory."""
-        self.memory = self._memory()
+        side = self.squares.world.grid.texels + 2 * APRON
+        self.memory = TexelMemory(side, self.squares.plan.spectrum.channels)
         self._bare = set[Tile]()
         self._threads = ThreadPoolExecutor(_THREADS)
-
-    def _memory(self, slots: int = SLOTS) -> TexelMemory:
-        side = self.squares.world.grid.texels + 2 * APRON
-        return TexelMemory(side, self.squares.plan.spectrum.channels, slots)
 
     def load(self, tiles: Collection[Tile]) -> TexelMemory:
         """Return the memory with these tiles alone; those without ground are left out."""
         for each in self._ahead:
             each.result()
         self._ahead = []
+        absent = [tile for tile in self._wanted(tiles) if not self.store.has(tile)]
+        if absent or not self.memory.room_for(tiles):
+            # A bake takes a gigabyte; tiles that are on disk need not be in memory meanwhile.
+            self.memory = self.memory.emptied(max(SLOTS, 2 * len(tiles)))
         self.memory.keep(tiles)
-        if not self.memory.room_for(tiles):
-            coloured = self.memory.coloured
-            self.memory = self._memory(1 << (2 * len(tiles)).bit_length())
-            if coloured:
-                self.memory.keep_colours()
-        wanted = [tile for tile in tiles if tile not in self.memory.tiles and tile not in self._bare]
-        stored = list(self._threads.map(self._read, wanted))
-        missing = {tile for tile, found in zip(wanted, stored, strict=True) if not found}
-        squares = sorted({self.squares.of(tile) for tile in missing})
+        self._bake(absent, False)
+        wanted = self._wanted(tiles)
+        found = self._threads.map(self._read, wanted)
+        self._bake([tile for tile, known in zip(wanted, found, strict=True) if not known], True)
+        return self.memory
+
+    def _wanted(self, tiles: Collection[Tile]) -> list[Tile]:
+        """Tiles that are neither in memory nor known to be without ground."""
+        return [tile for tile in tiles if tile not in self.memory.tiles and tile not in self._bare]
+
+    def _bake(self, tiles: Collection[Tile], put: bool) -> None:
+        """Bake tiles, with those of their squares, and store them; put them in memory, or only those not stored."""
+        squares = sorted({self.squares.of(tile) for tile in tiles})
         with interactive(self.progress) as report:
             for number, first in enumerate(squares):
                 if report:
                     report(f"baking tiles: square {number + 1} of {len(squares)}", number / len(squares))
                 trim("tiles", LIMITS["tiles"])
                 for tile, baked in self.squares.bake(first).items():
-                    self.note = self.store.store(tile, baked) or self.note
-                    if tile not in missing:
-                        continue
-                    if baked is None:
-                        self._bare.add(tile)
-                    else:
-                        self.memory.put(tile, baked)
-        return self.memory
+                    note = self.store.store(tile, baked)
+                    self.note = note or self.note
+                    if tile in tiles and (put or note):
+                        self._put(tile, baked)
 
     def read_ahead(self, tiles: Collection[Tile]) -> None:
         """Begin to read tiles that are on disk, beside the others in memory, where there is room."""
-        wanted = [tile for tile in tiles if tile not in self.memory.tiles and tile not in self._bare]
+        wanted = self._wanted(tiles)
         if self.memory.room_for(wanted):
             self._ahead += [self._threads.submit(self._read, tile) for tile in wanted]
 
     def _read(self, tile: Tile) -> bool:
         """Whether a tile was on disk, and is in memory now where it has ground."""
         stored, baked = self.store.load(tile)
-        if stored and baked is None:
-            self._bare.add(tile)
-        elif baked is not None:
-            self.memory.put(tile, baked)
+        if stored:
+            self._put(tile, baked)
         return stored
+
+    def _put(self, tile: Tile, baked: BakedTile | None) -> None:
+        if baked is None:
+            self._bare.add(tile)
+        else:
+            self.memory.put(tile, baked)

@@ -141,7 +141,9 @@ class Squares:
                         surface.temperature[part].copy(),
                         texels[0][part].copy(),
                         _means(texels[1:], part, 2 if first.level else 1),
-                        baked.faces[face] if baked.faces is not None else np.zeros((len(face), 0), np.float32),
+                        np.zeros((len(face), 0), np.float16)
+                        if baked.faces is None
+                        else baked.faces[face].astype(np.float16),
                         baked.face_error[face] + np.float32(within) + lost[face]
                         if lit and baked.face_error is not None
                         else np.zeros(0, np.float32),
@@ -150,9 +152,7 @@ class Squares:
                 )
 
 
-def _means(
-    texels: Sequence[NDArray[np.float32]], part: tuple[slice, ...], side: int
-) -> NDArray[np.float16]:
+def _means(texels: Sequence[NDArray[np.float32]], part: tuple[slice, ...], side: int) -> NDArray[np.float16]:
     """Means of a part of channels over squares of `side` texels a side, (h/side, w/side, C)."""
     rows, columns = ((each.stop - each.start) // side for each in part)
     found = [each[part].reshape(rows, side, columns, side).mean(axis=(1, 3)) for each in texels]

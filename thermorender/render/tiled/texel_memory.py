@@ -26,6 +26,10 @@ from thermorender.scene.tile_grid import Tile
 SLOTS, _MOST = 768, 2**31 - 1
 
 
+class _Lease:
+    """Keeps slots as long as it lives."""
+
+
 class TexelMemory:
     """Texels of `side`² a tile with their means over squares; `tiles` are BakedTiles without what is kept here.
 
@@ -38,7 +42,7 @@ class TexelMemory:
             raise ThermorenderError(
                 f"the view needs more than {_MOST // sum(count) // 2} tiles; give a camera of fewer pixels"
             )
-        self.slots, self._side, self._count = slots, side, count
+        self.slots, self._side, self._count, self._channels = slots, side, count, channels
         self.tiles, self._slot = dict[Tile, BakedTile](), dict[Tile, int]()
         self._free = list(range(slots))[::-1]
         # How many KeptTexels use each slot.
@@ -52,6 +56,13 @@ class TexelMemory:
         self._temperature = np.empty(shape, np.float32)
         # Linear colours, and 1 where they are known; None until they are asked for.
         self._colour: NDArray[np.float16] | None = None
+
+    def emptied(self, slots: int) -> "TexelMemory":
+        """Return another memory of the same kind without tiles."""
+        found = TexelMemory(self._side, self._channels, slots)
+        if self.coloured:
+            found.keep_colours()
+        return found
 
     @property
     def coloured(self) -> bool:
@@ -71,7 +82,7 @@ class TexelMemory:
         finest = self._finest[slot] = int(baked.rest.shape[0] < self._side)
         ends = np.cumsum(widths(baked.rest.shape[-1]))[:-1]
         for number, level in enumerate(_levels(baked.rest.astype(np.float32)), start=finest):
-            for kept, part in zip(self._rest, np.split(level, ends, axis=-1), strict=True):
+            for kept, part in zip(self._rest, np.split(level, ends, axis=-1), strict=bool(self._rest)):
                 self._part(kept, number, slot)[...] = part.reshape(-1, kept.shape[1])
         if self._colour is not None:
             known = (baked.flags & FILLED) == 0
@@ -106,11 +117,11 @@ class TexelMemory:
         rest = Channels.of_arrays(mi, self._rest, coarse=True) if self._rest else None
         first = Channels.of_arrays(mi, [self._first])
         found = KeptTexels(first, rest, self._material.reshape(-1), self._flags.reshape(-1),
-                           self._temperature.reshape(-1))  # fmt: skip
+                           self._temperature.reshape(-1), _Lease())  # fmt: skip
         with self._lock:
             slot = np.array([self._slot[tile] for tile in tiles], np.int64)
             self._users[slot] += 1
-        finalize(found, self._release, slot)
+        finalize(found.lease, self._release, slot)
         return found, Slots(self.slots, slot, self._finest.copy())
 
     def _release(self, slots: NDArray[np.int64]) -> None:
