@@ -46,9 +46,7 @@ class DeviceScene:
             assert number is not None
             directional = DirectionalTexels(mi, tables, number, baked.mirror_black)
         leaves = None if outgoing else sunlit_leaves(scene, plan, geometry)
-        self._outgoing = outgoing or OutgoingRadiance.of(
-            geometry, baked.texels, baked.faces, directional, leaves, kept
-        )
+        self._outgoing = outgoing or OutgoingRadiance.of(geometry, baked.texels, baked.faces, directional, leaves, kept)
         self._faces, self._light = baked.faces, baked.static_light
         self._face_error = baked.face_error
         self._static_error = None if baked.face_error is None else mi.Float(aligned(baked.face_error))

@@ -32,6 +32,7 @@ class Slots:
     of: NDArray[np.int64]  # (S,) the slot of each surface
     finest: NDArray[np.uint32]  # (count,) level of squares that coarse Channels begin with, 0 or 1
 
+
 _RAYS_AT_ONCE, _FACES_AT_ONCE = 1 << 22, 1 << 20
 # 64 float32 steps, relative to a coordinate.
 _STEPS = 64.0 * 2.0**-24

@@ -377,8 +377,13 @@ def surfaces(
 ) -> tuple[Surface, ...]:  # fmt: skip
     """Return the surfaces: the terrain's first, then those of objects without a track."""
     terrain = tuple(
-        replace(bare, colour=own.colour, material=own.material, temperature=warm,
-                flags=own.flags | more if more.any() else own.flags)
+        replace(
+            bare,
+            colour=own.colour,
+            material=own.material,
+            temperature=warm,
+            flags=own.flags | more if more.any() else own.flags,
+        )
         for bare, own, warm, more in zip(
             shape.ground, cover.ground, temperatures.kelvin, temperatures.flags, strict=True
         )

@@ -1,4 +1,5 @@
-"""A world of 100 × 100 km by a seed: heights, classes and colours are functions of the place, made where they are read.
+"""A square world by a seed, of 100 km unless its side is stated: heights, classes and colours are functions of the
+place, made where they are read.
 
 Heights are sums of smooth noise of wavelengths from 32 km to 4 m (value noise between hashed lattice points, with the
 amplitude rising as the wavelength to the power 0.85). A grid reads only wavelengths that its pixels resolve, as an
@@ -14,7 +15,7 @@ from thermorender.scene.raster import Grid
 from thermorender.scene.sources import Extent
 
 _Floats = NDArray[np.float64]
-# Side of the world [m], and pixels of heights and of colours and classes [m].
+# Side of the large world [m], and pixels of heights and of colours and classes [m].
 SIDE_M, POST_M, TEXEL_M = 102_400.0, 2.0, 0.25
 CRS = "EPSG:32634"
 LEFT, TOP = 450_000.0, 5_800_000.0
@@ -65,17 +66,18 @@ def _axes(grid: Grid) -> tuple[_Floats, _Floats]:
 class _Lazy:
     seed: int
     pixel: float
+    side: float = SIDE_M
 
     @property
     def extent(self) -> Extent:
         """The whole world."""
         from rasterio.crs import CRS as Crs
 
-        return Extent(Crs.from_string(CRS), (LEFT, TOP - SIDE_M, LEFT + SIDE_M, TOP), self.pixel, (LEFT, TOP))
+        return Extent(Crs.from_string(CRS), (LEFT, TOP - self.side, LEFT + self.side, TOP), self.pixel, (LEFT, TOP))
 
     def digest(self) -> str:
         """Return a fingerprint of the world."""
-        return f"{type(self).__name__} {self.seed} {self.pixel}"
+        return f"{type(self).__name__} {self.seed} {self.pixel} {self.side}"
 
 
 class LazyHeights(_Lazy):
@@ -85,7 +87,7 @@ class LazyHeights(_Lazy):
         """Return heights on a grid, (h, w)."""
         x, y = _axes(grid)
         found = self.at(x, y, abs(grid.transform.a))
-        beyond = [(each < 0.0) | (each > SIDE_M) for each in (x, y)]
+        beyond = [(each < 0.0) | (each > self.side) for each in (x, y)]
         found[beyond[1]] = np.nan
         found[:, beyond[0]] = np.nan
         return found

@@ -18,6 +18,7 @@ import numpy as np
 from thermorender import formats
 from thermorender.apps.compare import machine
 from thermorender.apps.compare.machine import forget_peak_memory, peak_memory_mib
+from thermorender.apps.compare.sampling_error import converged
 from thermorender.paths import data_folder
 from thermorender.render.renderer import Renderer
 from thermorender.render.tiled.cells import assembled
@@ -27,6 +28,7 @@ from thermorender.render.tiled.tiled_renderer import TiledRenderer
 from thermorender.scene.load import load_scene
 from thermorender.scene.tile_grid import APRON, Tile
 from thermorender.scene.world import world_of
+from thermorender.trajectory.path import pose as pose_of
 from thermorender.versions import versions
 from validation.tiled_world import lazy_world
 
@@ -40,6 +42,8 @@ VIEWS = (
 )
 # A flight: height above ground and speed [m, m/s], pitch [°], duration [s].
 FLIGHT = (120.0, 10.0, -90.0, 6.0)
+# Drawn views of a world of this side [m]; share of a picture that shows ground, at least.
+DRAWN, DRAWN_SIDE_M, _LEAST_SHOWN = 30, 1638.4, 0.1
 HEADER = ("part", "figure", "value")
 _DAY = """[weather]
 time = 2018-09-12T12:44:00Z
@@ -51,7 +55,7 @@ cloud = 0.0
 """
 
 
-def run(folder, views=VIEWS, flight=FLIGHT, progress=None, device="auto"):
+def run(folder, views=VIEWS, flight=FLIGHT, drawn=DRAWN, side=DRAWN_SIDE_M, progress=None, device="auto"):
     """Measure tiles of the heath and of the world, write `tiled_world.json`, and return the result, a dict."""
     report = progress or (lambda what, share: None)
     with tempfile.TemporaryDirectory() as made, _own_cache(Path(made)):
@@ -60,9 +64,12 @@ def run(folder, views=VIEWS, flight=FLIGHT, progress=None, device="auto"):
         report("coarse tiles", 0.2)
         scene = world_scene(Path(made))
         coarse = coarse_tiles(scene, device)
-        report("flight over the world", 0.4)
-        flown = flight_costs(scene, flight, device, Path(made), lambda share: report("flight", 0.4 + 0.6 * share))
-    result = {"machine": machine.machine(), "versions": versions(), "heath": pieces, "coarse": coarse, "flight": flown}
+        report("flight over the world", 0.3)
+        flown = flight_costs(scene, flight, device, Path(made), lambda share: report("flight", 0.3 + 0.3 * share))
+        found = drawn_views(world_scene(Path(made), side=side), drawn, device,
+                            lambda share: report("drawn views", 0.6 + 0.4 * share))  # fmt: skip
+    result = {"machine": machine.machine(), "versions": versions(), "heath": pieces, "coarse": coarse, "flight": flown,
+              "drawn": found}  # fmt: skip
     formats.write_json(Path(folder) / "tiled_world.json", result)
     return result
 
@@ -129,28 +136,65 @@ def one_piece(scene, views, device):
     return found
 
 
-def world_scene(folder, seed=1):
-    """A scene on the world of a seed."""
+def world_scene(folder, seed=1, side=lazy_world.SIDE_M):
+    """A scene on the world of a seed, of a side [m]."""
     from rasterio import Affine
     from rasterio import open as raster
 
     names = "\n".join(f'{number} = "{name}"' for number, name in lazy_world.CLASSES.items())
     for name, dtype in (("elevation", "float32"), ("classes", "uint8")):
         place = Affine(1.0, 0.0, lazy_world.LEFT, 0.0, -1.0, lazy_world.TOP)
-        with raster(folder / f"{name}.tif", "w", driver="GTiff", count=1, dtype=dtype, height=4, width=4,
+        with raster(folder / f"{name}.tif", "w", driver="GTiff", count=1, dtype=dtype, height=64, width=64,
                     crs=lazy_world.CRS, transform=place) as file:  # fmt: skip
-            file.write(np.ones((1, 4, 4), dtype))
+            # Of no consequence: the world is put in its place.
+            file.write(np.ones((1, 64, 64), dtype))
     (folder / "scene.toml").write_text(
-        f'[terrain]\nelevation = "elevation.tif"\n[temperature]\nsource = "balance"\n[emissivity]\nsource = "classes"\n'
-        f'raster = "classes.tif"\n[emissivity.classes]\n{names}\n{_DAY}', encoding="utf-8",
+        f'[terrain.tiles]\nelevation = "elevation.tif"\nclasses = "classes.tif"\n[temperature]\nsource = "balance"\n'
+        f'[emissivity]\nsource = "classes"\n[emissivity.classes]\n{names}\n{_DAY}', encoding="utf-8",
     )  # fmt: skip
     scene = load_scene(folder)
     world = world_of(
-        lazy_world.LazyHeights(seed, lazy_world.POST_M), lazy_world.LazyColours(seed, lazy_world.TEXEL_M),
-        lazy_world.LazyClasses(seed, lazy_world.TEXEL_M), lazy_world.CLASSES, scene._declared.files.library,
+        lazy_world.LazyHeights(seed, lazy_world.POST_M, side), lazy_world.LazyColours(seed, lazy_world.TEXEL_M, side),
+        lazy_world.LazyClasses(seed, lazy_world.TEXEL_M, side), lazy_world.CLASSES, scene._declared.files.library,
         scene.where,
     )  # fmt: skip
     return scene.on_world(world)
+
+
+def drawn_views(scene, count, device, report):
+    """[{view, levels of its tiles, true and stated error [mK]}] of drawn views of a small world, against converged ones
+    of its finest tiles."""
+    renderer = TiledRenderer(scene, device=device)
+    scene, world, random = renderer.scene, renderer.world, np.random.default_rng(5)
+    side, per_mk, found = world.grid.side(0), renderer.plan.radiance_per_mk, []
+    left, bottom, right, top = world.within
+    finest = [Tile(0, row, column) for row in range(int(np.ceil((top - bottom) / side)))
+              for column in range(int(np.ceil((right - left) / side)))]  # fmt: skip
+    half = 0.5 * (right - left)
+    while len(found) < count:
+        report(len(found) / count)
+        up, pitch = float(np.exp(random.uniform(np.log(30.0), np.log(5000.0)))), -float(random.uniform(8.0, 90.0))
+        yaw, target = float(random.uniform(0.0, 360.0)), random.uniform(-0.7, 0.7, 2) * half
+        # The axis meets the ground of the world, or the camera is above its edge.
+        away = min(up / np.tan(np.radians(-pitch)), 4.0 * half)
+        east, north = target - away * np.array([np.sin(np.radians(yaw)), np.cos(np.radians(yaw))])
+        height = up + float(scene.ground(*(float(each) for each in np.clip((east, north), -0.9 * half, 0.9 * half))))
+        pose = pose_of(float(east), float(north), height, yaw, pitch, 0.0)
+        frame = renderer.frame(pose)
+        shown = np.isfinite(frame.error_mk)
+        if shown.mean() < _LEAST_SHOWN:
+            continue
+        levels = sorted({tile.level for tile in renderer.loader.memory.tiles})
+        chosen, renderer.tiles, renderer._made = renderer.tiles, lambda cell: finest, None
+        true = converged(*renderer.at(pose))
+        renderer.tiles, renderer._made = chosen, None
+        off = (frame.radiance - true)[shown] / per_mk
+        found.append({
+            "view": [up, pitch], "levels": levels, "shown": float(shown.mean()),
+            "true_mk": float(np.sqrt(np.mean(off**2))), "stated_mk": frame.budget_mk["total"],
+            "sampling_mk": frame.budget_mk["sampling"],
+        })  # fmt: skip
+    return found
 
 
 def coarse_tiles(scene, device):
@@ -234,4 +278,7 @@ def rows(result):
     )
     found.append(("", "disk [MB], peak memory [MiB]", f"{flown['disk_mb']:.0f}, {flown['peak_mib'] or 0:.0f}"))
     found.append(("", "new cell [s], frame [ms]", f"{flown['cell_s']:.1f}, {flown['frame_ms']:.0f}"))
+    ratio = [one["stated_mk"] / one["true_mk"] for one in result["drawn"]]
+    found.append(("drawn views", "number, stated over true: least, median",
+                  f"{len(ratio)}, {min(ratio):.2f}, {np.median(ratio):.2f}"))  # fmt: skip
     return found

@@ -39,11 +39,14 @@ def converged(renderer: Renderer, pose: ArrayLike) -> NDArray[np.float64]:
     """Return the band radiance with 256 rays per pixel, (H, W) [W m⁻² sr⁻¹], from the renderer's baked light."""
     camera = renderer.scene.camera
     sampling = replace(renderer.plan.sampling, samples=RAYS, taps=1, edge_mk=_NO_EDGE_MK)
+    plan = replace(renderer.plan, sampling=sampling)
     quarters = []
     for lower in range(2):
         for right in range(2):
             part = renderer.scene.with_camera(_quarter(camera, right, lower))
-            image = Renderer(part, like=renderer, **sampling.settings()).radiance(pose).astype(np.float64)
+            seen = renderer.baked.seen_as(part, plan)
+            assert seen is not None
+            image = Renderer.of(seen).radiance(pose).astype(np.float64)
             rows, columns = image.shape
             quarters.append(image.reshape(rows // FINER, FINER, columns // FINER, FINER).mean(axis=(1, 3)))
     return np.block([quarters[:2], quarters[2:]])
