@@ -26,6 +26,7 @@ class KeptTexels:
     temperature: NDArray[np.float32]  # (T,) [K]
     lease: object  # Keeps the texels as long as it lives
     faces: Channels | None = None  # Corrections of the faces
+    colours: Channels | None = None  # Linear colours, and 1 where they are known; None until they are asked for
     mirrors: NDArray[np.uint8] | None = None  # (T,) numbers of the directional texels' tables; None without any
 
 

@@ -7,6 +7,7 @@ overview does. Classes follow from heights, from fields and from patches of vege
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,11 +63,16 @@ def _axes(grid: Grid) -> tuple[_Floats, _Floats]:
     return np.asarray(x) - LEFT, TOP - np.asarray(y)
 
 
+# Bytes that were read so far.
+READ = [0]
+
+
 @dataclass(frozen=True)
 class _Lazy:
     seed: int
     pixel: float
     side: float = SIDE_M
+    pixel_bytes: ClassVar[int]
 
     @property
     def extent(self) -> Extent:
@@ -74,6 +80,10 @@ class _Lazy:
         from rasterio.crs import CRS as Crs
 
         return Extent(Crs.from_string(CRS), (LEFT, TOP - self.side, LEFT + self.side, TOP), self.pixel, (LEFT, TOP))
+
+    def size(self) -> int:
+        """Bytes of the whole world."""
+        return round(self.side / self.pixel) ** 2 * self.pixel_bytes
 
     def digest(self) -> str:
         """Return a fingerprint of the world."""
@@ -83,9 +93,12 @@ class _Lazy:
 class LazyHeights(_Lazy):
     """Heights [m]; NaN beyond the world."""
 
+    pixel_bytes = 4
+
     def read(self, grid: Grid) -> _Floats:
         """Return heights on a grid, (h, w)."""
         x, y = _axes(grid)
+        READ[0] += grid.width * grid.height * self.pixel_bytes
         found = self.at(x, y, abs(grid.transform.a))
         beyond = [(each < 0.0) | (each > self.side) for each in (x, y)]
         found[beyond[1]] = np.nan
@@ -104,8 +117,15 @@ class LazyHeights(_Lazy):
 class LazyClasses(_Lazy):
     """Class numbers of `CLASSES`."""
 
+    pixel_bytes = 1
+
     def read(self, grid: Grid) -> NDArray[np.uint8]:
         """Return classes on a grid, (h, w)."""
+        READ[0] += grid.width * grid.height * self.pixel_bytes
+        return self.numbers(grid)
+
+    def numbers(self, grid: Grid) -> NDArray[np.uint8]:
+        """Return classes on a grid, (h, w), which do not count as read."""
         x, y = _axes(grid)
         pixel = abs(grid.transform.a)
         height = LazyHeights(self.seed, self.pixel).at(x, y, max(pixel, 64.0))
@@ -128,9 +148,12 @@ class LazyClasses(_Lazy):
 class LazyColours(_Lazy):
     """Colours by class, with noise."""
 
+    pixel_bytes = 3
+
     def read(self, grid: Grid) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         """Return (rgb (h, w, 3), where it is known)."""
-        number = LazyClasses(self.seed, self.pixel).read(grid)
+        READ[0] += grid.width * grid.height * self.pixel_bytes
+        number = LazyClasses(self.seed, self.pixel).numbers(grid)
         x, y = _axes(grid)
         light = 1.0 + 0.15 * _noise(x, y, max(1.5, 2.0 * abs(grid.transform.a)), self.seed + 5)
         rgb = np.clip(_COLOURS[number] * light[..., None], 0.0, 255.0).astype(np.uint8)

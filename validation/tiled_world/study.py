@@ -226,6 +226,7 @@ def flight_costs(scene, flight, device, folder, report):
     """What a flight over the world takes, from its first tile on."""
     height, speed, pitch, duration = flight
     forget_peak_memory()
+    read = lazy_world.READ[0]
     renderer = TiledRenderer(scene, device=device)
     along = np.arange(0.0, duration + 0.25, 0.5)
     poses = [renderer.scene.pose(100.0 + speed * at, 200.0, height, 90.0, pitch, 0.0) for at in along]
@@ -250,7 +251,8 @@ def flight_costs(scene, flight, device, folder, report):
         "flight": list(flight), "forecast": forecast, "cells": len(made), "tiles": len({t for n in needed for t in n}),
         "most_tiles": max(map(len, needed)), "squares": len(missing), "bake_cpu_s": baked,
         "disk_mb": sum(stored) / 1e6, "cell_s": float(np.median(made)), "frame_ms": 1e3 * float(np.median(frames)),
-        "peak_mib": peak_memory_mib(),
+        "peak_mib": peak_memory_mib(), "read_mb": (lazy_world.READ[0] - read) / 1e6,
+        "world_mb": sum(each.size() for each in (scene.world.heights, scene.world.colours, scene.world.classes)) / 1e6,
     }  # fmt: skip
 
 
@@ -277,6 +279,7 @@ def rows(result):
         ("", "bake [CPU s], a square", f"{flown['bake_cpu_s']:.0f}, {flown['bake_cpu_s'] / flown['squares']:.0f}")
     )
     found.append(("", "disk [MB], peak memory [MiB]", f"{flown['disk_mb']:.0f}, {flown['peak_mib'] or 0:.0f}"))
+    found.append(("", "read of the world [MB]", f"{flown['read_mb']:.0f} of {flown['world_mb']:.0f}"))
     found.append(("", "new cell [s], frame [ms]", f"{flown['cell_s']:.1f}, {flown['frame_ms']:.0f}"))
     ratio = [one["stated_mk"] / one["true_mk"] for one in result["drawn"]]
     found.append(("drawn views", "number, stated over true: least, median",

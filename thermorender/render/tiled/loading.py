@@ -3,6 +3,7 @@
 from collections.abc import Collection
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from threading import RLock
 
 from thermorender.cache import LIMITS, trim
 from thermorender.progress import interactive
@@ -31,13 +32,13 @@ class TileLoader:
         side = self.squares.world.grid.texels + 2 * APRON
         self.memory = TexelMemory(side, self.squares.plan.spectrum.channels)
         self._bare = set[Tile]()
+        # Held by one who makes a renderer of what is in memory.
+        self.lock = RLock()
         self._threads = ThreadPoolExecutor(_THREADS)
 
     def load(self, tiles: Collection[Tile]) -> TexelMemory:
         """Return the memory with these tiles alone; those without ground are left out."""
-        for each in self._ahead:
-            each.result()
-        self._ahead = []
+        self._wait()
         absent = [tile for tile in self._wanted(tiles) if not self.store.has(tile)]
         if absent or not self.memory.room_for(tiles):
             # A bake takes a gigabyte; tiles that are on disk need not be in memory meanwhile.
@@ -48,6 +49,17 @@ class TileLoader:
         found = self._threads.map(self._read, wanted)
         self._bake([tile for tile, known in zip(wanted, found, strict=True) if not known], True)
         return self.memory
+
+    def keep_colours(self) -> None:
+        """Keep the colours of tiles from now on; those in memory are forgotten."""
+        self._wait()
+        self.memory.keep_colours()
+
+    def _wait(self) -> None:
+        """Wait for the tiles that are read ahead."""
+        for each in self._ahead:
+            each.result()
+        self._ahead = []
 
     def _wanted(self, tiles: Collection[Tile]) -> list[Tile]:
         """Tiles that are neither in memory nor known to be without ground."""

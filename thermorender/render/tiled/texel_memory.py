@@ -116,8 +116,9 @@ class TexelMemory:
         """Return (texels for kernels, the Slots of tiles). The slots are kept as long as the texels are."""
         rest = Channels.of_arrays(mi, self._rest, coarse=True) if self._rest else None
         first = Channels.of_arrays(mi, [self._first])
+        colours = None if self._colour is None else Channels.of_arrays(mi, [self._colour])
         found = KeptTexels(first, rest, self._material.reshape(-1), self._flags.reshape(-1),
-                           self._temperature.reshape(-1), _Lease())  # fmt: skip
+                           self._temperature.reshape(-1), _Lease(), colours=colours)  # fmt: skip
         with self._lock:
             slot = np.array([self._slot[tile] for tile in tiles], np.int64)
             self._users[slot] += 1
@@ -129,11 +130,6 @@ class TexelMemory:
             self._users[slots] -= 1
             own = set(self._slot.values())
             self._free += [slot for slot in slots.tolist() if not self._users[slot] and slot not in own]
-
-    def colours(self, mi: Mitsuba) -> Channels:
-        """Return the linear colours for kernels, and 1 where they are known."""
-        assert self._colour is not None
-        return Channels.of_arrays(mi, [self._colour])
 
     def _part(self, whole: NDArray[np.floating], level: int, slot: int) -> NDArray[np.floating]:
         """The squares of a level of a slot."""

@@ -149,14 +149,15 @@ class TiledRenderer(Renderer):
     def at(self, pose: ArrayLike) -> tuple[Renderer, NDArray[np.float64]]:
         """Return (the Renderer of the cell of a pose, the pose in its frame)."""
         cell, matrix = self.cell(pose), checked_pose(pose)
-        if self._made is None or self._made[0] != cell:
-            # Gigabytes: the former one goes first.
-            self._made = None
-            gc.collect()
-            self._made = cell, *self._renderer_of(cell)
-            if cell in self._next:
-                self.loader.read_ahead(self.tiles(self._next[cell]))
-        _, renderer, to = self._made
+        with self.loader.lock:
+            if self._made is None or self._made[0] != cell:
+                # Gigabytes: the former one goes first.
+                self._made = None
+                gc.collect()
+                self._made = cell, *self._renderer_of(cell)
+                if cell in self._next:
+                    self.loader.read_ahead(self.tiles(self._next[cell]))
+            _, renderer, to = self._made
         return renderer, to @ matrix
 
     def expect(self, poses: Iterable[ArrayLike]) -> None:
@@ -195,13 +196,16 @@ class TiledRenderer(Renderer):
         self, pose: ArrayLike, camera: Camera | None = None, time_s: float = 0.0, objects: "Objects | None" = None
     ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         """Return the orthophoto seen from `pose`, as of `Renderer.visible`."""
-        if not self.loader.memory.coloured:
-            self.loader.memory.keep_colours()
-            self._made = None
-        renderer, own = self.at(pose)
-        if renderer._coloured is None:
-            colours = self.loader.memory.colours(renderer._geometry.mi)
-            renderer._coloured = [(renderer._geometry, OutgoingRadiance(colours))]
+        with self.loader.lock:
+            renderer, own = self.at(pose)
+            kept = renderer.baked.loaded.kept
+            if kept is None or kept.colours is None:
+                self._made = None
+                self.loader.keep_colours()
+                renderer, own = self.at(pose)
+                kept = renderer.baked.loaded.kept
+        assert kept is not None and kept.colours is not None
+        renderer._coloured = [(renderer._geometry, OutgoingRadiance(kept.colours))]
         return renderer.visible(own, camera, time_s, objects)
 
     def sky(
