@@ -61,7 +61,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Audited:
-    """The audited frame of a pickled frame: its number and its error budget."""
+    """An audited frame without its view: its number and its error budget."""
 
     index: int
     budget_mk: dict[str, float] | None
@@ -216,9 +216,14 @@ class Frame:
         """Return the frame with the reading of a flight's sensor: counts (H, W) uint16, and `how` for the plan."""
         return replace(self, _reading=counts, plan={**self.plan, "sensor": how})
 
-    def with_audit(self, audited: "Frame") -> "Frame":
+    def with_audit(self, audited: "Frame | Audited") -> "Frame":
         """Return the frame with the error budget of an earlier frame of its flight."""
         return replace(self, _audited=audited)
+
+    @property
+    def audit(self) -> "Frame | Audited":
+        """Its error budget for later frames of its flight: with the view, or without it where it is measured."""
+        return Audited(self.index, self.budget_mk) if "budget_mk" in vars(self) else self
 
     @property
     def budget_frame(self) -> int:

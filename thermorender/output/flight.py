@@ -315,7 +315,7 @@ class Flight:
     ) -> None:  # fmt: skip
         """Take frames and write their files, lines and video, while the next frames are rendered."""
         place, measured = os.stat(folder), frames[:MEASURED]
-        self.renderer.expect(self.flown.poses[frames.start : frames.stop])
+        pauses = {frames[number] for number in self.renderer.expect(self.flown.poses[frames.start : frames.stop])}
 
         def report(frame: Prepared) -> None:
             self.terrain.append(frame.line["shows_terrain"])
@@ -333,6 +333,9 @@ class Flight:
 
         with OrderedWriter(finish, report, Prepared.discard) as writer:
             for index in frames:
+                if index in pauses:
+                    job = None
+                    writer.drain()
                 clock, core = time.perf_counter(), time.process_time()
                 with phase(f"{self._kind}: truth, labels and record"):
                     job = self._job(folder, index, place)

@@ -570,13 +570,15 @@ def _map_records(surface: Surface, part: slice) -> Floats:
     texel = surface.uv[part].astype(np.float64) * surface.material.shape[::-1]
     edge = corner[:, 1:] - corner[:, :1]
     change = texel[:, 1:] - texel[:, :1]
-    gram = edge @ edge.transpose(0, 2, 1)
-    determinant = np.linalg.det(gram)
-    flat = determinant <= 1e-12 * np.maximum(gram[:, 0, 0] * gram[:, 1, 1], 1e-300)
-    gram[flat] = np.eye(2)
-    change[flat] = 0.0
-    gradient = (edge.transpose(0, 2, 1) @ np.linalg.solve(gram, change)).transpose(0, 2, 1)
-    offset = texel[:, 0] - np.einsum("fak,fk->fa", gradient, corner[:, 0])
+    one, other = edge[:, 0], edge[:, 1]
+    a, b, d = ((x * y).sum(axis=1, keepdims=True) for x, y in ((one, one), (one, other), (other, other)))
+    determinant = a * d - b * b
+    flat = determinant <= 1e-12 * np.maximum(a * d, 1e-300)
+    scale = np.where(flat, 0.0, 1.0 / np.where(flat, 1.0, determinant))
+    # Shares of the edges in the gradient of each axis, (F, 2).
+    along = scale * (d * change[:, 0] - b * change[:, 1]), scale * (a * change[:, 1] - b * change[:, 0])
+    gradient = along[0][..., None] * one[:, None] + along[1][..., None] * other[:, None]
+    offset = texel[:, 0] - (gradient * corner[:, :1]).sum(axis=-1)
     return np.concatenate([gradient, offset[..., None]], axis=-1).reshape(-1, 8)
 
 

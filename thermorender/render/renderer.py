@@ -167,8 +167,10 @@ class Renderer:
         """Trace and solve what can be before the first frame."""
         _ = self.baked
 
-    def expect(self, poses: Iterable[ArrayLike]) -> None:
-        """Prepare for frames from poses in this order, beside those that are rendered."""
+    def expect(self, poses: Iterable[ArrayLike]) -> frozenset[int]:
+        """Prepare for frames from poses in this order; return numbers of those before which the frames so far should
+        be finished, because they hold memory that is then needed."""
+        return frozenset()
 
     def with_seed(self, seed: int) -> "Renderer":
         """Return this renderer with another seed of the sensor's noise."""

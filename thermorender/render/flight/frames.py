@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from thermorender import defaults
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.frame import Frame
+from thermorender.frame.frame import Audited, Frame
 from thermorender.render.flight.timed import InstantRenderer, InstantRendererT, TimedRenderer
 from thermorender.scene.scene import Scene
 from thermorender.scene.tracks import TrackedObject
@@ -83,7 +83,7 @@ class FlightFrames:
         self.exposure = self._exposure()
         self._audit = audit
         # The frame that was audited last.
-        self._audited: Frame | None = None
+        self._audited: Frame | Audited | None = None
 
     def by(self, renderer: InstantRenderer) -> "FlightFrames":
         """Return the frames of this flight, from its start, by another renderer of its first instant."""
@@ -107,6 +107,9 @@ class FlightFrames:
 
     def take(self, index: int) -> Frame:
         """Return one frame with the sensor's reading; frames come in order."""
+        if isinstance(self._audited, Frame):
+            # A view takes much memory.
+            self._audited = self._audited.audit
         time_s = float(self.times[index])
         frame = self.still(index)
         frame = frame.with_reading(*self.exposure.read(index, time_s, frame.radiance))
