@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 # CPU time of a square on two cores, with a heat balance and at known temperatures [s]; bytes of a texel on disk, with
 # one channel, and for each other one.
-_SQUARE_S, _TEXEL_BYTES = {False: 40.0, True: 15.0}, 14.0
+_SQUARE_S, _TEXEL_BYTES = {False: 40.0, True: 15.0}, 16.0
 # Temperatures of tiles beyond those of the overview, for which spectral nodes are chosen [K].
 _WIDER_K = 15.0
 
