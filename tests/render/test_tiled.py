@@ -15,6 +15,7 @@ from thermorender.cache import cache_folder
 from thermorender.errors import ThermorenderError
 from thermorender.output.flight import FlightOptions
 from thermorender.render.renderer import Renderer
+from thermorender.render.tiled.baked_tile import TileStore
 from thermorender.render.tiled.cells import assembled
 from thermorender.render.tiled.squares import Squares
 from thermorender.render.tiled.texel_memory import TexelMemory
@@ -23,6 +24,7 @@ from thermorender.scene import world as worlds
 from thermorender.scene.georeference import place_of
 from thermorender.scene.raster import Grid
 from thermorender.scene.sources import Classes, Colours, Heights, rasters_of
+from thermorender.scene.surface import FILLED
 from thermorender.scene.tile_grid import APRON, Tile
 from thermorender.trajectory.path import Trajectory
 
@@ -219,7 +221,7 @@ def test_a_frame_keeps_its_tiles_while_later_frames_load_others(tmp_path, monkey
     memory = renderer.loader.memory
     for pose in poses[1:]:
         memory.keep(())
-        memory._temperature[memory._free] = 0.0
+        memory._temperature[memory.free] = 0.0
         renderer._made = None
         renderer.radiance(pose)
     assert renderer.loader.memory is memory
@@ -230,7 +232,7 @@ def test_a_frame_keeps_its_tiles_while_later_frames_load_others(tmp_path, monkey
     renderer._made = None
     gc.collect()
     memory.keep(())
-    assert len(memory._free) == memory.slots
+    assert len(memory.free) == memory.slots
 
 
 def test_tiles_that_are_read_ahead_are_those_of_the_next_cell_on_the_way(tmp_path, monkeypatch, own_cache):
@@ -262,6 +264,96 @@ def test_colours_of_tiles_are_those_of_the_picture_from_the_first_view_on(tmp_pa
         np.testing.assert_array_equal(own, image)
         np.testing.assert_array_equal(valid, known)
         assert valid.mean() > 0.5 and own[valid].std() > 20.0
+
+
+def class_numbers(folder):
+    """The class numbers of a scene of `write_tiled`, (n, n), in one file."""
+    source = Classes(rasters_of(folder / "classes"))
+    left, _, right, top = source.extent.bounds
+    step, count = source.extent.pixel, round((right - left) / source.extent.pixel)
+    numbers = source.read(Grid(source.extent.crs, Affine(step, 0.0, left, 0.0, -step, top), count, count))
+    for path in (folder / "classes").iterdir():
+        path.unlink()
+    write_raster(folder / "classes" / "a.tif", numbers[None], step, corner=(left, top))
+    return numbers, step, (left, top)
+
+
+def test_a_picture_of_a_part_leaves_the_classes_beside_it_at_all_levels(tmp_path, monkeypatch, own_cache):
+    folder = write_tiled(tmp_path / "scene")
+    text = (folder / "scene.toml").read_text()
+    # Heights reach half a post beyond the classes.
+    (folder / "scene.toml").write_text(text.replace('"classes"\n[emi', '"classes"\nfallback = "soil_loam"\n[emi'))
+    numbers, step, corner = class_numbers(folder)
+    for path in (folder / "photo").iterdir():
+        path.unlink()
+    write_raster(folder / "photo" / "a.tif", np.full((3, 40, 40), 120, np.uint8), step, corner=corner,
+                 photometric="RGB")  # fmt: skip
+    renderer = renderer_of(folder, monkeypatch, quality="fast", rows=2)
+    names = ["grass_green", "sand_quartz", "soil_loam"]
+    for tile in (Tile(0, 0, 0), Tile(1, 0, 0)):
+        baked, side = renderer.squares.bake(tile)[tile], 64 * 2**tile.level
+        # Texels within a block of one class.
+        own = np.array([each.name for each in renderer.scene.materials])[baked.material[APRON:-APRON, APRON:-APRON]]
+        true = np.array(names)[numbers[:side, :side].reshape(64, 2**tile.level, 64, -1)[:, 0, :, 0] - 1]
+        np.testing.assert_array_equal(own, true)
+
+
+def test_a_small_gap_of_the_classes_does_not_stop_a_flight_over_it(tmp_path, monkeypatch, own_cache):
+    folder = write_tiled(tmp_path / "scene", size=257)
+    numbers, step, corner = class_numbers(folder)
+    numbers[100:116, 100:116] = 0
+    write_raster(folder / "classes" / "a.tif", numbers[None], step, corner=corner)
+    renderer = renderer_of(folder, monkeypatch, quality="fast", rows=2)
+    frame = renderer.frame(renderer.scene.pose(-74.0, 74.0, 40.0, 0.0, -90.0, 0.0))
+    filled = (frame.truth["mask"] & FILLED) > 0
+    assert 0.05 < filled.mean() < 1.0 and np.isfinite(frame.truth["kinetic_temperature"]).all()
+
+
+@pytest.mark.parametrize("cache", ["", "~nobody_of_this_name/cache"])
+def test_tiles_in_memory_are_not_baked_again_where_no_cache_can_be_written(tmp_path, monkeypatch, own_cache, cache):
+    folder = write_tiled(tmp_path / "scene")
+    poses = [tr.pose(east, 0.0, 12.0, 90.0, -70.0, 0.0) for east in (-20.0, 0.0, 20.0)]
+    bake, baked = Squares.bake, []
+    monkeypatch.setattr(Squares, "bake", lambda self, first, *rest: (baked.append(first), bake(self, first, *rest))[1])
+    renderer = renderer_of(folder, monkeypatch, quality="fast", rows=2)
+    expected = [renderer.frame(pose).radiance for pose in poses]
+    assert len({renderer.cell(pose) for pose in poses}) > 1 and renderer.cache_note is None
+    once, where = baked.copy(), cache or str(tmp_path / "file")
+    (tmp_path / "file").write_text("no folder")
+    monkeypatch.setenv("THERMORENDER_CACHE", where)
+    baked.clear()
+    again = renderer_of(folder, monkeypatch, quality="fast", rows=2)
+    for pose, radiance in zip(poses, expected, strict=True):
+        before = set(again.loader.memory.tiles)
+        needed = {again.squares.of(tile) for tile in again.tiles(again.cell(pose)) if tile not in before}
+        baked.clear()
+        np.testing.assert_array_equal(again.frame(pose).radiance, radiance)
+        assert set(baked) <= needed
+    assert len(set(once)) == len(once) and "are not kept" in again.cache_note
+
+
+def test_a_tile_that_could_not_be_read_ahead_is_read_again(tmp_path, monkeypatch, own_cache):
+    folder = write_tiled(tmp_path / "scene")
+    renderer = renderer_of(folder, monkeypatch, quality="fast")
+    poses = [renderer.scene.pose(east, -30.0, 25.0, 90.0, -50.0, 0.0) for east in (-40.0, 20.0)]
+    alone = [renderer.frame(pose).radiance for pose in poses]
+    again = renderer_of(folder, monkeypatch, quality="fast")
+    again.expect(poses)
+    load = TileStore.load
+
+    def failing(self, tile):
+        raise OSError("once")
+
+    monkeypatch.setattr(again.loader, "read_ahead", lambda tiles: None)
+    np.testing.assert_array_equal(again.frame(poses[0]).radiance, alone[0])
+    monkeypatch.undo()
+    monkeypatch.setenv("THERMORENDER_CACHE", str(own_cache))
+    with monkeypatch.context() as patch:
+        patch.setattr(TileStore, "load", failing)
+        again.loader.read_ahead(again.tiles(again.cell(poses[1])))
+        assert again.loader._ahead and all(each.exception() for each in again.loader._ahead)
+    assert TileStore.load is load
+    np.testing.assert_array_equal(again.frame(poses[1]).radiance, alone[1])
 
 
 def test_frames_state_pose_and_positions_in_the_frame_of_the_scene(tmp_path, monkeypatch, own_cache):
@@ -354,6 +446,7 @@ def test_what_needs_one_raster_is_refused(tmp_path, monkeypatch, own_cache):
                              cloud=0.0, albedo=0.2)  # fmt: skip
     for job in (
         lambda: tr.TiledRenderer(day), lambda: scene.with_material_in([(0, 0), (5, 0), (5, 5)], "sand_quartz"),
+        lambda: renderer.frame(pose, sampled_as=renderer.frame(pose)),
         lambda: renderer.parts_at(pose, [(10, 10)]), lambda: renderer.texels(pose), lambda: renderer.solved_for(scene),
     ):  # fmt: skip
         with pytest.raises(ThermorenderError, match=r"terrain\.tiles; cut a part out"):

@@ -22,6 +22,10 @@ def cache(
     ] = None,
 ) -> None:  # fmt: skip
     """Print what later runs reuse and how large it is; or make it smaller."""
+    try:
+        cache_folder(CACHED[0])
+    except RuntimeError as error:
+        raise ThermorenderError("no cache folder: a home folder is unknown; set THERMORENDER_CACHE to a folder") from error
     for text in shrink or ():
         kind, limit = _parsed(text)
         typer.echo(f"{kind}: {trim(kind, limit) / 1e9:.3g} GB removed")

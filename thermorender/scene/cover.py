@@ -161,18 +161,17 @@ def _raster_cover(
 ) -> Painted:
     """The Painted of a raster ground: by its classes, else by [emissivity]."""
     shape, colour = surface.flags.shape, drape.colour
-    valid, unknown = np.ones(shape, dtype=bool), np.zeros(shape, dtype=bool)
-    if drape.valid is not None:
-        valid = drape.valid.copy()
+    unknown = np.zeros(shape, dtype=bool)
+    # Where the colour is known, and where the material is.
+    valid = known = np.ones(shape, dtype=bool) if drape.valid is None else drape.valid
     if drape.classes is not None and emissivity.source in (("classes", "learned") if surface.far else ("classes",)):
         name = f"{drape.classes_file}"
         material, known, unknown, share = _of_classes(
-            drape.classes, valid, drape.on_ground, name, emissivity, materials, drape.mixed
+            drape.classes, valid, drape.on_ground, name, emissivity, materials, drape.mixed, drape.most_open
         )
         if share > 0.0:
             rest = emissivity.fallback or "the class beside them"
             report.update(model=name, fallback=rest, share_unknown=share)
-        valid &= known
     elif emissivity.source == "learned" and drape.colour is not None and _readable(surface, emissivity):
         filled = drape.colour if valid.all() else fill(drape.colour, nearest_valid(valid))
         assert drape.height is not None
@@ -186,15 +185,16 @@ def _raster_cover(
             number = materials.index(emissivity.fallback, "emissivity.fallback")
         material = np.full(shape, number, np.uint8)
         unknown |= emissivity.source in ("classes", "learned")
+    if not known.all():
+        material = fill(material, nearest_valid(known))
     if colour is None:
         colour = np.array([m.colour for m in materials.used], dtype=np.uint8)[material]
-    if not valid.all():
-        index = nearest_valid(valid)
-        colour, material = fill(colour, index), fill(material, index)
-    if drape.filled is not None:
-        valid &= ~drape.filled
+    elif not valid.all():
+        colour = fill(colour, nearest_valid(valid))
     flags = np.full(shape, SURFACE, np.uint8)
-    flags[~valid] |= FILLED
+    flags[~(valid & known)] |= FILLED
+    if drape.filled is not None:
+        flags[drape.filled] |= FILLED
     flags[unknown] |= UNKNOWN
     return Painted(material, colour, flags)
 
@@ -202,6 +202,7 @@ def _raster_cover(
 def _of_classes(
     classes: NDArray[np.uint8], valid: NDArray[np.bool_], on_ground: NDArray[np.bool_] | None, name: str,
     emissivity: EmissivitySpec, materials: MaterialList, mixed: Sequence[Mapping[int, float]] = (),
+    most_open: float = MOST_OPEN,
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_], NDArray[np.bool_], float]:  # fmt: skip
     """(material numbers, where they are known, where they are the fallback, share without a class) of class numbers,
     or of numbers of the `mixed` shares of classes."""
@@ -218,9 +219,10 @@ def _of_classes(
     if emissivity.fallback and share > 0.0:
         lookup[0], unknown = materials.index(emissivity.fallback, "emissivity.fallback"), ~known & valid
         known = known | unknown
-    elif share > MOST_OPEN:
+    elif share > most_open or not known.any():
+        part = f"{share:.1%}" if most_open < 1.0 else "a part"
         raise ThermorenderError(
-            f"{name} leaves {share:.1%} of the terrain of {materials.where} without a class; give one "
+            f"{name} leaves {part} of the terrain of {materials.where} without a class; give one "
             "that covers it, or name the material of the rest as emissivity.fallback"
         )
     return lookup[classes], known, unknown, share

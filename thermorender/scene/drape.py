@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.scene.raster import Grid, bounds_in, describe, grid_of, onto, read_classes
+from thermorender.scene.surface import MOST_OPEN
 
 # Mixtures of classes of a coarse ground at most; shares of classes are rounded to such parts.
 _MOST_MIXED, _PARTS = 48, 8
@@ -37,6 +38,7 @@ class Drape:
     on_ground: NDArray[np.bool_] | None = None  # texels on the terrain; None if all of them are
     # ((h, w) float64, Grid) the elevation raster beside an orthophoto
     height: tuple[NDArray[np.float64], Grid] | None = None
+    most_open: float = MOST_OPEN  # share of it without a class that may have the class beside
 
 
 def on_ground(height: NDArray[np.float64], grid: Grid, texels: Grid) -> NDArray[np.bool_] | None:

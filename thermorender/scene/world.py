@@ -122,6 +122,8 @@ class World:
                 drapes.append(drape)
             if away == LIGHT_M:
                 break
+        # Gaps of the classes are judged on the whole ground, in its overview.
+        drapes = [replace(each, most_open=1.0) for each in drapes]
         return WorldGround(frame, tuple(surfaces), tuple(drapes), whole)
 
     def frame_at(self, bounds: Bounds, height: NDArray[np.floating]) -> LocalFrame | None:

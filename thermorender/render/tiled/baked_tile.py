@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender import formats
-from thermorender.cache import cache_folder
+from thermorender.cache import LIMITS, cache_folder, trim
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.tile_grid import Tile
 
 # A file of another version is not used: increase this when what a tile holds changes.
-VERSION = 6
+VERSION = 7
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,9 @@ class TileStore:
         """Store a tile, or that it has no ground; return None, or why that failed."""
         arrays = {} if baked is None else {field.name: getattr(baked, field.name) for field in fields(baked)}
         try:
-            formats.write_arrays(self.path(tile), (self.key, tuple(tile)), arrays)
+            path = self.path(tile)
+            formats.write_arrays(path, (self.key, tuple(tile)), arrays)
+            trim("tiles", LIMITS["tiles"], keep=path.name)
         except (OSError, RuntimeError, ThermorenderError) as error:
             return f"baked tiles are not kept: {error}; set THERMORENDER_CACHE to a writable folder"
         return None

@@ -1,11 +1,10 @@
 """Tiles on their way to memory: from disk, from a thread that reads ahead, or baked now."""
 
 from collections.abc import Collection
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from threading import RLock
 
-from thermorender.cache import LIMITS, trim
 from thermorender.progress import interactive
 from thermorender.render.baked import Progress
 from thermorender.render.tiled.baked_tile import BakedTile, TileStore
@@ -39,15 +38,16 @@ class TileLoader:
     def load(self, tiles: Collection[Tile]) -> TexelMemory:
         """Return the memory with these tiles alone; those without ground are left out."""
         self._wait()
+        self.memory.keep(tiles)
         absent = [tile for tile in self._wanted(tiles) if not self.store.has(tile)]
-        if absent or not self.memory.room_for(tiles):
+        if (absent and all(map(self.store.has, self.memory.tiles))) or not self.memory.room_for(tiles):
             # A bake takes a gigabyte; tiles that are on disk need not be in memory meanwhile.
             self.memory = self.memory.emptied(max(SLOTS, 2 * len(tiles)))
-        self.memory.keep(tiles)
         self._bake(absent, False)
         wanted = self._wanted(tiles)
-        found = self._threads.map(self._read, wanted)
-        self._bake([tile for tile, known in zip(wanted, found, strict=True) if not known], True)
+        reads = [self._threads.submit(self._read, tile) for tile in wanted]
+        wait(reads)
+        self._bake([tile for tile, read in zip(wanted, reads, strict=True) if not read.result()], True)
         return self.memory
 
     def keep_colours(self) -> None:
@@ -56,9 +56,8 @@ class TileLoader:
         self.memory.keep_colours()
 
     def _wait(self) -> None:
-        """Wait for the tiles that are read ahead."""
-        for each in self._ahead:
-            each.result()
+        """Wait for the tiles that are read ahead; what could not be read is read again where it is needed."""
+        wait(self._ahead)
         self._ahead = []
 
     def _wanted(self, tiles: Collection[Tile]) -> list[Tile]:
@@ -72,7 +71,6 @@ class TileLoader:
             for number, first in enumerate(squares):
                 if report:
                     report(f"baking tiles: square {number + 1} of {len(squares)}", number / len(squares))
-                trim("tiles", LIMITS["tiles"])
                 for tile, baked in self.squares.bake(first).items():
                     note = self.store.store(tile, baked)
                     self.note = note or self.note

@@ -44,7 +44,6 @@ class TexelMemory:
             )
         self.slots, self._side, self._count, self._channels = slots, side, count, channels
         self.tiles, self._slot = dict[Tile, BakedTile](), dict[Tile, int]()
-        self._free = list(range(slots))[::-1]
         # How many KeptTexels use each slot.
         self._users, self._lock = np.zeros(slots, np.int64), RLock()
         self._first = np.empty((slots * sum(count), 1), np.float32)
@@ -71,12 +70,19 @@ class TexelMemory:
 
     def room_for(self, tiles: Collection[Tile]) -> bool:
         """Return whether tiles find slots, if those in memory stay."""
-        return len(set(tiles).difference(self.tiles)) <= len(self._free)
+        return len(set(tiles).difference(self.tiles)) <= len(self.free)
+
+    @property
+    def free(self) -> NDArray[np.int64]:
+        """Slots that neither a tile nor a KeptTexels uses."""
+        used = self._users > 0
+        used[list(self._slot.values())] = True
+        return np.flatnonzero(~used)
 
     def put(self, tile: Tile, baked: BakedTile) -> None:
         """Keep a tile that is not in memory."""
         with self._lock:
-            slot = self._free.pop()
+            slot = self._slot[tile] = int(self.free[0])
         for number, level in enumerate(_levels(baked.first[..., None])):
             self._part(self._first, number, slot)[...] = level.reshape(-1, 1)
         finest = self._finest[slot] = int(baked.rest.shape[0] < self._side)
@@ -95,17 +101,14 @@ class TexelMemory:
             baked, material=material, flags=flags, temperature=temperature, first=baked.first[:0].copy(),
             rest=baked.rest[:0].copy(), colour=np.broadcast_to(np.uint8(0), baked.colour.shape),
         )  # fmt: skip
-        with self._lock:
-            self._slot[tile], self.tiles[tile] = slot, left
+        self.tiles[tile] = left
 
     def keep(self, tiles: Iterable[Tile]) -> None:
         """Forget all tiles but some."""
         with self._lock:
-            for tile in set(self.tiles).difference(tiles):
-                del self.tiles[tile]
-                slot = self._slot.pop(tile)
-                if not self._users[slot]:
-                    self._free.append(slot)
+            for tile in set(self._slot).difference(tiles):
+                self.tiles.pop(tile, None)
+                del self._slot[tile]
 
     def keep_colours(self) -> None:
         """Keep the colours of tiles from now on; those in memory are forgotten."""
@@ -128,8 +131,6 @@ class TexelMemory:
     def _release(self, slots: NDArray[np.int64]) -> None:
         with self._lock:
             self._users[slots] -= 1
-            own = set(self._slot.values())
-            self._free += [slot for slot in slots.tolist() if not self._users[slot] and slot not in own]
 
     def _part(self, whole: NDArray[np.floating], level: int, slot: int) -> NDArray[np.floating]:
         """The squares of a level of a slot."""

@@ -33,12 +33,13 @@ from thermorender.units import utc_text
 from thermorender.versions import versions
 
 if TYPE_CHECKING:
+    from thermorender.frame import Frame
     from thermorender.render.dynamic import Objects
     from thermorender.render.pixels.parts import PixelParts
 
 # CPU time of a square on two cores, with a heat balance and at known temperatures [s]; bytes of a texel on disk, with
 # one channel, and for each other one.
-_SQUARE_S, _TEXEL_BYTES = {False: 40.0, True: 15.0}, 16.0
+_SQUARE_S, _TEXEL_BYTES, _CHANNEL_BYTES = {False: 40.0, True: 15.0}, 16.0, 0.5
 # Temperatures of tiles beyond those of the overview, for which spectral nodes are chosen [K].
 _WIDER_K = 15.0
 
@@ -146,9 +147,8 @@ class TiledRenderer(Renderer):
         if not squares:
             return (line, *stays)
         hours = squares * _SQUARE_S[self._asked.temperature_state.solved] / 3600.0
-        size = (
-            tiles * (self.world.grid.texels + 2 * APRON) ** 2 * (_TEXEL_BYTES + 0.5 * (self.plan.spectrum.channels - 1))
-        )
+        texels = tiles * (self.world.grid.texels + 2 * APRON) ** 2
+        size = texels * (_TEXEL_BYTES + _CHANNEL_BYTES * (self.plan.spectrum.channels - 1))
         return (f"{line}: {squares} squares, about {hours:.2g} CPU hours and {size / 1e9:.2g} GB of disk", *stays)
 
     def at(self, pose: ArrayLike) -> tuple[Renderer, NDArray[np.float64]]:
@@ -214,6 +214,15 @@ class TiledRenderer(Renderer):
         assert kept is not None and kept.colours is not None
         renderer._coloured = [(renderer._geometry, OutgoingRadiance(kept.colours))]
         return renderer.visible(own, camera, time_s, objects)
+
+    def frame(
+        self, pose: ArrayLike, time_s: float = 0.0, index: int = 0, objects: "Objects | None" = None,
+        sampled_as: "Frame | None" = None,
+    ) -> "Frame":  # fmt: skip
+        """Return the Frame seen from `pose`, as of `Renderer.frame`, without `sampled_as`, which is for edits."""
+        if sampled_as is not None:
+            raise self.scene.not_on_tiles("sampled_as=…, which compares edits,")
+        return super().frame(pose, time_s, index, objects)
 
     def sky(
         self, pose: ArrayLike, camera: Camera | None = None, time_s: float = 0.0, objects: "Objects | None" = None
