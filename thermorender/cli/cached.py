@@ -25,7 +25,7 @@ def cache(
     try:
         cache_folder(CACHED[0])
     except RuntimeError as error:
-        raise ThermorenderError("no cache folder: a home folder is unknown; set THERMORENDER_CACHE to a folder") from error
+        raise ThermorenderError("no home folder is known; set THERMORENDER_CACHE to a folder") from error
     for text in shrink or ():
         kind, limit = _parsed(text)
         typer.echo(f"{kind}: {trim(kind, limit) / 1e9:.3g} GB removed")
