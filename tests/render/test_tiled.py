@@ -213,6 +213,21 @@ def test_tiles_on_disk_serve_again_and_are_not_baked(tmp_path, monkeypatch, own_
         other.frame(pose)
 
 
+def test_what_no_texel_of_the_overview_shows_still_asks_for_other_tiles(tmp_path, monkeypatch, own_cache):
+    folder = write_tiled(tmp_path / "scene")
+    text = (folder / "scene.toml").read_text(encoding="utf-8")
+    keys = []
+    # A fallback is for gaps of the classes, and the overview has none.
+    for change in (("", ""), ('source = "classes"\n', 'source = "classes"\nfallback = "asphalt"\n'),
+                   ('source = "classes"\n', 'source = "classes"\nfallback = "water"\n'),
+                   ("materials = {", "value = 290.0\nmaterials = {")):  # fmt: skip
+        (folder / "scene.toml").write_text(text.replace(*change, 1), encoding="utf-8")
+        keys.append(renderer_of(folder, monkeypatch, quality="fast").store.key)
+    assert len(set(keys)) == len(keys)
+    moved = folder.rename(tmp_path / "moved")
+    assert renderer_of(moved, monkeypatch, quality="fast").store.key == keys[-1]
+
+
 def test_a_frame_keeps_its_tiles_while_later_frames_load_others(tmp_path, monkeypatch, own_cache):
     renderer = renderer_of(write_tiled(tmp_path / "scene"), monkeypatch, quality="fast")
     poses = [renderer.scene.pose(east, -30.0, 12.0, 0.0, -80.0, 0.0) for east in (-30.0, 30.0, 0.0)]

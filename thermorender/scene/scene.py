@@ -48,7 +48,7 @@ from thermorender.scene.surface import FALLBACK, UNMOVED, Surface, scene_kelvin
 from thermorender.scene.temperature import learned_map
 from thermorender.scene.temperature_state import Available, Moved
 from thermorender.scene.terrain_temperature import Temperatures
-from thermorender.schema import Where, did_you_mean, read
+from thermorender.schema import Where, did_you_mean, every_field, read
 from thermorender.sensor.camera import Camera, load_camera
 from thermorender.trajectory.path import pose
 from thermorender.units import Number, instant, utc_text, with_unit
@@ -253,6 +253,14 @@ class Scene:
         """Raise if the ground is tiled; `other` begins the advice."""
         if self.world is not None:
             raise self.not_on_tiles(what, other)
+
+    def tiles_digest(self) -> str:
+        """Return a fingerprint of all that the tiles of this ground depend on, which its overview may not show."""
+        assert self.world is not None
+        spec, model = self.spec, self._declared.temperature_map
+        # The file of a map may be moved; its content counts.
+        rules = every_field(spec.temperature, "model"), every_field(spec.emissivity)
+        return repr((self.digest(), self.world.digest(), rules, model and model.digest()))
 
     def on_ground(self, ground: "WorldGround") -> "Scene":
         """Return this scene on a part of its tiled ground, lit by the same sun, sky and air."""
