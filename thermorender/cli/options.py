@@ -291,11 +291,9 @@ class SamplingOptions:
     def renderer(self, scene: "Scene", seed: int, device: str, progress: Progress) -> "Renderer":
         """Return the Renderer of a scene; print the reports of learned maps that ran only now."""
         with phase("imports"):
-            from thermorender.render.renderer import Renderer
-            from thermorender.render.tiled.tiled_renderer import TiledRenderer
+            from thermorender.render.tiled.tiled_renderer import renderer_of
 
-        settings = self.settings() | {"seed": seed, "device": device, "progress": progress}
-        made = Renderer(scene, **settings) if scene.world is None else TiledRenderer(scene, **settings)
+        made = renderer_of(scene, **self.settings(), seed=seed, device=device, progress=progress)
         if not scene.temperature_state.solved and hasattr(scene.temperature_state.source, "model"):
             print_map_reports(made.scene)
         return made

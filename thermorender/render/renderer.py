@@ -163,8 +163,8 @@ class Renderer:
         """Return the renderer of another camera, by light already traced."""
         return Renderer(self.scene.with_camera(camera), like=self, **self.plan.sampling.settings())
 
-    def prepare(self) -> None:
-        """Trace and solve what can be before the first frame."""
+    def prepare(self, pose: ArrayLike | None = None) -> None:
+        """Trace and solve what can be before the first frame, or before one from a pose."""
         _ = self.baked
 
     def expect(self, poses: Iterable[ArrayLike]) -> frozenset[int]:

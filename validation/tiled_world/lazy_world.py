@@ -42,17 +42,19 @@ def _hashed(column: NDArray[np.integer], row: NDArray[np.integer], seed: int) ->
     return found
 
 
-def _noise(x: _Floats, y: _Floats, wavelength: float, seed: int) -> _Floats:
-    """Smooth noise −1…1 on the lattice of coordinates (n,) and (m,), (m, n)."""
+def _noise(x: _Floats, y: _Floats, wavelength: float, seed: int) -> NDArray[np.float32]:
+    """Smooth noise −1…1 on the lattice of coordinates (n,) and (m,), (m, n); single precision, for speed."""
     u, v = x / wavelength, y / wavelength
     i, j = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
     across, along = np.arange(i.min(), i.max() + 2), np.arange(j.min(), j.max() + 2)
-    value = _hashed(*np.meshgrid(across, along), seed)
-    fade = lambda t: t * t * (3.0 - 2.0 * t)  # noqa: E731
+    value = _hashed(*np.meshgrid(across, along), seed).astype(np.float32)
+    fade = lambda t: (t * t * (3.0 - 2.0 * t)).astype(np.float32)  # noqa: E731
     fu, fv = fade(u - i), fade(v - j)
     i, j = i - across[0], j - along[0]
     rows = value[:, i] * (1.0 - fu) + value[:, i + 1] * fu
-    found: _Floats = rows[j] * (1.0 - fv)[:, None] + rows[j + 1] * fv[:, None]
+    found: NDArray[np.float32] = np.diff(rows, axis=0)[j]
+    found *= fv[:, None]
+    found += rows[j]
     return found
 
 

@@ -46,7 +46,8 @@ def test_an_interrupted_comparison_continues_with_the_missing_frames(ground, tmp
         # One number is another.
         path.write_bytes(path.read_bytes()[:-40] + b"7" + path.read_bytes()[-39:])
     built = []
-    monkeypatch.setattr(methods, "Renderer", lambda *given, **more: built.append(1) or tr.Renderer(*given, **more))
+    plain_of = methods.renderer_of
+    monkeypatch.setattr(methods, "renderer_of", lambda *given, **more: built.append(1) or plain_of(*given, **more))
     found = compare([flight(ground)], tmp_path / "c", [level], Options(settings={"rays": 8}))
     rendered = [label for label in found["methods"] if label.startswith("C")]
     assert len(rendered) == 2 and len(built) == (2 if damaged else 1)

@@ -29,7 +29,7 @@ from thermorender.apps.training.dataset import Dataset
 from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import TemperatureMap, load_model
 from thermorender.progress import Progress, Spread
-from thermorender.render.renderer import Renderer
+from thermorender.render.tiled.tiled_renderer import renderer_of
 from thermorender.scene.scene import Scene
 from thermorender.scene.spec import EmissivitySpec
 from thermorender.trajectory import Trajectory
@@ -202,7 +202,7 @@ def _thermals(
             found.append(None)
             continue
         report(f"{flight.scene.name}: thermal frames of its campaign", number / len(flights))
-        renderer = Renderer(truth, **options.settings)
+        renderer = renderer_of(truth, **options.settings)
         chosen = evenly(len(flight.times), training.POSES)
         seen = (view_of(renderer, flight.poses[k], flight.times[k], k, True) for k in chosen)
         found.append(training.thermal_of(truth, land, seen, options.seed, models))
@@ -220,16 +220,17 @@ def _setup(
     report: Progress,
 ) -> tuple[Setup, list[str]]:
     """Return the Setup of a scene with its baked reference and methods, and sentences on methods left out."""
-    flight.scene.refuse_tiles("a comparison")
     scene, truth = flight.scene, _truth(flight.scene)
-    reference = Renderer(truth or scene, progress=report, **options.settings)
+    reference = renderer_of(truth or scene, progress=report, **options.settings)
     learned = None
-    if "C2" in options.letters and scene.spec.terrain.orthophoto:
+    if "C2" in options.letters and scene.spec.terrain.orthophoto and scene.world is None:
         report("classifying materials from the orthophoto", 0.0)
         learned = scene.with_learned_materials(options.emissivity)
     given = methods.Given(scene, reference, truth is not None, campaign, learned, contestants.privileged,
                           contestants.foreign[number], report)  # fmt: skip
     made, left_out = methods.methods_of(options.letters, contestants.maps, given)
+    if scene.world is not None:
+        left_out.append(f"B and C1 of {scene.name} are not split into terms: its ground is in tiles.")
     frames = Frames(work, flight, reference.scene, learned, dict(options.settings))
     return Setup(flight, land, reference, truth is not None, campaign, frames, made), left_out
 

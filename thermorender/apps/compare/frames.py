@@ -53,7 +53,8 @@ class Frames:
         scene = flight.scene
         # The scene's digest leaves out the weather where it gives the temperatures itself; maps and balances need it.
         weather = scene.weather_digest() if scene.spec.weather and scene.frame else None
-        scenes = [each.digest() for each in (scene, reference, learned) if each is not None]
+        scenes = [each.digest() if each.world is None else each.tiles_digest()
+                  for each in (scene, reference, learned) if each is not None]  # fmt: skip
         state = hashlib.blake2b(repr((scenes, scene.time, weather, settings, versions())).encode(), digest_size=8)
         for values in (flight.times, flight.poses):
             state.update(np.ascontiguousarray(values).tobytes())
@@ -81,19 +82,22 @@ class Frames:
         place.mkdir(parents=True, exist_ok=True)
         began = method.clock()
         renderer = method.renderer
-        # Baked once per scene, so it is not part of a frame's time.
-        _ = renderer.baked
-        facts: dict[str, Any] = {"once_s": method.clock() - began, "seconds": [], "split": split}
+        # Light is not part of a frame's time; that of tiles is where a frame first needs them.
+        renderer.prepare()
+        once_s, seconds = method.clock() - began, []
         terms = Terms(method) if split else None
         for index, (time_s, pose) in enumerate(zip(self._flight.times, self._flight.poses, strict=True)):
             report(f"rendering {method.label}", index / len(self._flight.times))
             began = time.perf_counter()
+            renderer.prepare(pose)
+            ready = time.perf_counter()
             radiance = renderer.radiance(pose, time_s, method.objects)
-            facts["seconds"].append(time.perf_counter() - began)
+            once_s += ready - began
+            seconds.append(time.perf_counter() - ready)
             np.save(place / f"{index:04d}.npy", radiance)
             if terms:
                 np.save(place / f"{index:04d}_terms.npy", terms.pictures(pose, time_s))
-        facts |= describe(method)
+        facts = {"once_s": once_s, "seconds": seconds, "split": split} | describe(method)
         method.close()
         facts["checksums"] = {frame.name: formats.checksum(frame) for frame in sorted(place.glob("*.npy"))}
         formats.write_json(path, formats.sealed(facts))

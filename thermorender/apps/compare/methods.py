@@ -37,6 +37,7 @@ from thermorender.progress import Progress
 from thermorender.render.heat.conditions import conditions
 from thermorender.render.heat.relief import NAMES, mapped, reliefs
 from thermorender.render.renderer import Renderer
+from thermorender.render.tiled.tiled_renderer import renderer_of
 from thermorender.scene.scene import Scene
 from thermorender.scene.spec import EmissivitySpec, TemperatureSpec
 
@@ -192,7 +193,8 @@ def _true_materials(given: Given, text: str, model: TemperatureMap) -> Iterator[
 
 def _learned_materials(given: Given, text: str, model: TemperatureMap) -> Iterator[Method | str]:
     if given.learned is None:
-        yield f"C2 is left out of {given.scene.name}: without an orthophoto, materials cannot be learned."
+        why = "without an orthophoto" if given.scene.world is None else "on tiles"
+        yield f"C2 is left out of {given.scene.name}: {why}, materials cannot be learned."
     else:
         yield from rendered(given.scene, text, model, given.reference, given.campaign, False, given.learned)
 
@@ -269,7 +271,7 @@ def rendered(
 
 def _rendered_like(reference: Renderer, scene: Scene) -> Renderer:
     """The Renderer of a scene with the surfaces and the sampling of a reference."""
-    return Renderer(scene, like=reference, **reference.plan.sampling.settings())
+    return renderer_of(scene, reference, **reference.plan.sampling.settings())
 
 
 def _balance(given: Given) -> Iterator[Method | str]:

@@ -144,7 +144,9 @@ class Trial:
         vertices = np.concatenate([s.vertices[:, :2] for s in self.scene.near_ground])
         self._corners = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
         self._pairs = self._twins()
-        self._terms = {name: np.zeros((len(NAMES) + 1, sums.WIDTH)) for name in self._pairs}
+        # Tiles have no radiances of texels, which terms need.
+        terms = self._pairs if self.scene.world is None else ()
+        self._terms = {name: np.zeros((len(NAMES) + 1, sums.WIDTH)) for name in terms}
         self._apart = 0.0
         self._appearance, self._changes = Appearance(), np.zeros(3)
         self.photographs: list[NDArray[np.uint8]] = []
@@ -242,17 +244,19 @@ class Trial:
             own.targets.add(scene, view, self._objects, image, counts)
 
     def _split(self, view: View, taken: Mapping[str, Picture]) -> None:
-        """Add the terms of the differences between B and C1 at a View."""
+        """Add the shifts and the terms of the differences between B and C1 at a View."""
         for name, (method, rendered) in self._pairs.items():
             flat, solid = taken[method.label], taken[rendered.label]
+            pair = (transform(each.seen, view.known) for each in (flat, solid))
+            self._results[method.label].registered.add(*pair)
+            if name not in self._terms:
+                continue
             pictures = self._setup.frames.terms(rendered, view.index)
             parts = terms_of(pictures, flat.seen, solid.seen, flat.read, solid.read)
             whole = solid.read - flat.read
             together = sum(parts.values(), start=np.zeros(whole.shape, np.float32))
             # Pixels where a step has no temperature do not count.
             known = view.known & np.isfinite(whole) & np.isfinite(together)
-            pair = (transform(each.seen, view.known) for each in (flat, solid))
-            self._results[method.label].registered.add(*pair)
             self._apart = float(np.maximum(self._apart, np.abs(together - whole)[known].max(initial=0.0)))
             for k, image in enumerate((*parts.values(), whole)):
                 self._terms[name][k] += sums.row(image[known])
@@ -275,7 +279,7 @@ class Trial:
 
     def _render(self, report: Progress, spread: Spread) -> None:
         """Render the frames of all rendered methods, one method after the other or by a cluster."""
-        split = frozenset(solid.label for _, solid in self._pairs.values())
+        split = frozenset(self._pairs[name][1].label for name in self._terms)
         # A report of every frame stays in this process.
         do = partial(_rendered, self._setup, split, report if spread is map else None)
         labels = [method.label for method in self._setup.methods if method.build is not None]
@@ -294,8 +298,9 @@ class Trial:
         """Return the results of the scene, as plain numbers."""
         scene, setup = self.scene, self._setup
         pairs = {}
-        for name, (flat, solid) in self._pairs.items():
-            rows = [sums.summary(row) for row in self._terms[name]]
+        for name, parts in self._terms.items():
+            flat, solid = self._pairs[name]
+            rows = [sums.summary(row) for row in parts]
             pairs[name] = {"from": flat.label, "to": solid.label,
                            "terms": dict(zip((*NAMES, "whole"), rows, strict=True))}  # fmt: skip
         spectrum = self._appearance.summary()["spectrum"] if setup.has_truth else None

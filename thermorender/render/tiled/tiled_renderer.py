@@ -85,8 +85,10 @@ class TiledRenderer(Renderer):
         return TiledRenderer(self.scene.with_camera(camera), seed=self.seed, **self.plan.sampling.settings(),
                              rows=self.squares.rows)  # fmt: skip
 
-    def prepare(self) -> None:
-        """Do nothing: tiles are baked where frames need them."""
+    def prepare(self, pose: ArrayLike | None = None) -> None:
+        """Bake and load the tiles of frames from a pose; do nothing without one."""
+        if pose is not None:
+            self.at(pose)
 
     def with_seed(self, seed: int) -> "TiledRenderer":
         """Return this renderer with another seed of the sensor's noise."""
@@ -288,6 +290,11 @@ def _give_memory_back() -> None:
 def _stays(scene: Scene) -> str:
     assert scene.time is not None
     return f"temperatures of tiles are those of {utc_text(scene.time)}, also during the flight"
+
+
+def renderer_of(scene: Scene, like: Renderer | None = None, **settings: Any) -> Renderer:
+    """Return the Renderer of a scene of any ground; tiles share nothing with those of `like`."""
+    return TiledRenderer(scene, **settings) if scene.world is not None else Renderer(scene, like=like, **settings)
 
 
 def _again(settings: tuple[Any, ...], rows: int) -> TiledRenderer:
