@@ -58,3 +58,59 @@ def test_nothing_is_left_of_an_import_that_fails(rasters):
     with pytest.raises(ThermorenderError, match=r"other\.tif"):
         import_tiles(rasters / "dem", rasters / "photo", rasters / "scene", ImportSettings())
     assert not (rasters / "scene").exists()
+
+
+VRT = """<VRTDataset rasterXSize="64" rasterYSize="64">
+  <GeoTransform> 5.0e+05, 1.0, 0.0, 5.78e+06, 0.0, -1.0</GeoTransform>
+  <VRTRasterBand dataType="Float32" band="1">
+    {band}
+    {sources}
+  </VRTRasterBand>
+</VRTDataset>
+"""
+SOURCE = """<ComplexSource>
+      <SourceFilename relativeToVRT="1">dem/{k}.tif</SourceFilename>
+      <SourceBand>{number}</SourceBand>
+      <SrcRect xOff="0" yOff="0" xSize="32" ySize="64" />
+      <DstRect xOff="{left}" yOff="0" xSize="32" ySize="64" />
+      {more}
+    </ComplexSource>"""
+
+
+def mosaic(band="", more="", number=1, left=32):
+    """A virtual mosaic of both heights, as gdalbuildvrt writes it."""
+    rows = [SOURCE.format(k=0, number=number, left=0, more=more), SOURCE.format(k=1, number=1, left=left, more="")]
+    return VRT.format(band=band, sources="".join(rows))
+
+
+def test_a_virtual_mosaic_stands_for_its_files(rasters):
+    (rasters / "dem.vrt").write_text(mosaic())
+    import_tiles(rasters / "dem.vrt", rasters / "photo", rasters / "scene", ImportSettings())
+    for path in (rasters / "dem").iterdir():
+        assert os.path.samefile(path, rasters / "scene" / "elevation" / path.name)
+    assert tr.load_scene(rasters / "scene").world.within == (500000.0, 5779936.0, 500064.0, 5780000.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (mosaic(band="<NoDataValue>0</NoDataValue>"), "states NoDataValue = 0"),
+        (mosaic(more="<NODATA>12</NODATA>"), "states NODATA = 12"),
+        (mosaic(band="<UnitType>ft</UnitType>"), "states UnitType = ft"),
+        (mosaic(more="<ScaleRatio>2</ScaleRatio>"), "by ScaleRatio"),
+        (mosaic(number=2), "takes band 2"),
+        (mosaic().replace("<GeoT", "<SRS>EPSG:32633</SRS><GeoT"), r"another CRS than 0\.tif"),
+        (mosaic(left=30), r"moves or cuts dem/1\.tif"),
+        (mosaic().replace("dem/1.tif", "dem/9.tif"), r"dem/9\.tif, which does not exist"),
+        (mosaic().replace("<VRTDataset", '<VRTDataset subClass="VRTWarpedDataset"'), "VRTWarpedDataset"),
+        (mosaic().replace("ComplexSource", "KernelFilteredSource"), "has a KernelFilteredSource"),
+        ("<!DOCTYPE a>" + mosaic(), "document type"),
+        ("<VRTDataset>", "cannot be read"),
+        ("<VRTDataset/>", "has no GeoTransform"),
+    ],
+)
+def test_a_virtual_mosaic_that_changes_its_files_is_refused(rasters, text, message):
+    (rasters / "dem.vrt").write_text(text)
+    with pytest.raises(ThermorenderError, match=message):
+        import_tiles(rasters / "dem.vrt", rasters / "photo", rasters / "scene", ImportSettings())
+    assert not (rasters / "scene").exists()

@@ -1,4 +1,4 @@
-"""A scene of tiles from folders of rasters of any size: the scene folder links to the files and copies none."""
+"""A scene of tiles from rasters of any size, in folders or virtual mosaics: its folder links to the files."""
 
 import os
 import shutil
@@ -10,6 +10,7 @@ import numpy as np
 from thermorender.apps.lands.import_rasters import has_vertical_datum
 from thermorender.apps.lands.import_settings import ImportSettings
 from thermorender.apps.lands.import_terrain import GROUND_K, flight_text, source_tables, weather_name, weather_table
+from thermorender.apps.lands.virtual_mosaic import files_of_mosaic
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic_folder, check_new_folder
 from thermorender.formats import write_text
@@ -28,8 +29,8 @@ _FLOWN_M = 400.0
 def import_tiles(elevation: Path, orthophoto: Path, folder: Path, settings: ImportSettings) -> dict[str, Any]:
     """Write a scene folder of rasters that stay as they are, and return a summary of what is in it.
 
-    Each argument is a folder of rasters, or one raster. The scene's folder gets hard links to the files, which take no
-    room, so that it holds all of its data.
+    Each argument is a folder of rasters, one raster, or a virtual mosaic (.vrt) of some. The scene's folder gets hard
+    links to the files, which take no room, so that it holds all of its data.
     """
     for name in _RESAMPLING:
         if getattr(settings, name):
@@ -37,7 +38,8 @@ def import_tiles(elevation: Path, orthophoto: Path, folder: Path, settings: Impo
                 f"{name} changes the rasters, and tiles leaves them as they are; leave it out, or prepare the files"
             )
     check_new_folder(folder)
-    first = grid_of(rasters_of(elevation)[0], any_size=True)
+    given = {"elevation": _given(elevation), "orthophoto": _given(orthophoto)}
+    first = grid_of(given["elevation"][0], any_size=True)
     stated = settings.height_reference is not None or has_vertical_datum(first.crs)
     reference = settings.height_reference or ("geoid" if stated else "ellipsoid")
     day = weather_table(settings.weather, settings.time, np.zeros(1), first)
@@ -48,9 +50,9 @@ def import_tiles(elevation: Path, orthophoto: Path, folder: Path, settings: Impo
     if day is None:
         tables["temperature"] = {"source": "constant", "value": GROUND_K}
     with atomic_folder(folder) as part:
-        for source, name in ((elevation, "elevation"), (orthophoto, "orthophoto")):
+        for name, paths in given.items():
             (part / name).mkdir()
-            for path in rasters_of(source):
+            for path in paths:
                 _link(path, part / name)
         if settings.weather is not None:
             shutil.copyfile(settings.weather, part / weather_name(settings.weather))
@@ -74,6 +76,16 @@ def import_tiles(elevation: Path, orthophoto: Path, folder: Path, settings: Impo
         "height_reference_stated": stated,
         "flight_m": flight_m,
     }
+
+
+def _given(path: Path) -> list[Path]:
+    """The rasters of an argument."""
+    found = files_of_mosaic(path) if path.suffix.lower() == ".vrt" else rasters_of(path)
+    names = [each.name for each in found]
+    for each in found:
+        if names.count(each.name) > 1:
+            raise ThermorenderError(f"{path} has two rasters called {each.name}; rename one, and make the mosaic again")
+    return found
 
 
 def _link(path: Path, folder: Path) -> None:

@@ -18,7 +18,10 @@ NewFolder = Annotated[
 
 @flat
 def import_terrain(
-    elevation: Annotated[Path, typer.Argument(help="GeoTIFF of heights in metres or the unit it declares, or LAS.")],
+    elevation: Annotated[
+        Path, typer.Argument(help="GeoTIFF of heights in metres or the unit it declares, or LAS; with --tiles also a "
+                             "folder or a VRT.")
+    ],
     output: NewFolder,
     orthophoto: Annotated[
         Path | None, typer.Argument(help="GeoTIFF in colour; without one the ground has its material's colour.")

@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from thermorender.render.pixels.parts import PixelParts
 
 # CPU time of a square on two cores, with a heat balance and at known temperatures [s]; bytes of a texel on disk, with
-# one channel, and for each other one.
-_SQUARE_S, _TEXEL_BYTES, _CHANNEL_BYTES = {False: 40.0, True: 15.0}, 16.0, 0.5
+# one channel, and for each other one of a tile of level 0 and of coarser tiles.
+_SQUARE_S, _TEXEL_BYTES, _CHANNEL_BYTES = {False: 40.0, True: 15.0}, 13.6, (2.0, 0.5)
 # Temperatures of tiles beyond those of the overview, for which spectral nodes are chosen [K].
 _WIDER_K = 15.0
 
@@ -141,16 +141,17 @@ class TiledRenderer(Renderer):
         needed = [self.tiles(cell) for cell in cells]
         every = sorted({tile for tiles in needed for tile in tiles})
         missing = [tile for tile in every if not self.store.has(tile)]
-        squares = len({self.squares.of(tile) for tile in missing})
-        tiles = squares * self.squares.rows**2
+        levels = [square.level for square in {self.squares.of(tile) for tile in missing}]
+        squares = len(levels)
         most = max(map(len, needed))
         line = f"tiles: {len(every)} for the poses looked at, up to {most} in a frame, {len(missing)} not baked yet"
         stays = () if self._asked.temperature_state.solved else (_stays(self.scene),)
         if not squares:
             return (line, *stays)
         hours = squares * _SQUARE_S[self._asked.temperature_state.solved] / 3600.0
-        texels = tiles * (self.world.grid.texels + 2 * APRON) ** 2
-        size = texels * (_TEXEL_BYTES + _CHANNEL_BYTES * (self.plan.spectrum.channels - 1))
+        texels = self.squares.rows**2 * (self.world.grid.texels + 2 * APRON) ** 2
+        size = texels * sum(_TEXEL_BYTES + _CHANNEL_BYTES[level > 0] * (self.plan.spectrum.channels - 1)
+                            for level in levels)  # fmt: skip
         return (f"{line}: {squares} squares, about {hours:.2g} CPU hours and {size / 1e9:.2g} GB of disk", *stays)
 
     def at(self, pose: ArrayLike) -> tuple[Renderer, NDArray[np.float64]]:
