@@ -275,6 +275,25 @@ def test_tiles_in_memory_are_not_baked_again_where_no_cache_can_be_written(tmp_p
     assert len(set(once)) == len(once) and "are not kept" in again.cache_note
 
 
+def test_tiles_that_another_process_bakes_meanwhile_are_not_baked_again(tmp_path, monkeypatch, own_cache):
+    folder = write_tiled(tmp_path / "scene")
+    other = renderer_of(folder, monkeypatch, rows=1, quality="fast")
+    renderer = renderer_of(folder, monkeypatch, rows=1, quality="fast")
+    needed = renderer.tiles(renderer.cell(renderer.scene.pose(*VIEWS[0][0])))
+    plain, baked = Squares.bake, []
+
+    def bake(self, first, progress=None):
+        baked.append(first)
+        if len(baked) == 1:
+            # The other one bakes all but this square.
+            other.loader.load([tile for tile in needed if tile != first])
+        return plain(self, first, progress)
+
+    monkeypatch.setattr(Squares, "bake", bake)
+    assert renderer.loader.load(needed).tiles
+    assert len(baked) == len(set(baked)) == len(needed)
+
+
 def test_a_tile_that_could_not_be_read_ahead_is_read_again(tmp_path, monkeypatch, own_cache):
     folder = write_tiled(tmp_path / "scene")
     renderer = renderer_of(folder, monkeypatch, quality="fast")

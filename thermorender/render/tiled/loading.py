@@ -1,8 +1,10 @@
 """Tiles on their way to memory: from disk, from a thread that reads ahead, or baked now."""
 
+import os
 from collections.abc import Collection
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
+from random import Random
 from threading import RLock
 
 from thermorender.progress import interactive
@@ -67,10 +69,14 @@ class TileLoader:
     def _bake(self, tiles: Collection[Tile], put: bool) -> None:
         """Bake tiles, with those of their squares, and store them; put them in memory, or only those not stored."""
         squares = sorted({self.squares.of(tile) for tile in tiles})
+        # Processes that share a cache begin with different squares, and find those of the others.
+        Random(os.getpid()).shuffle(squares)
         with interactive(self.progress) as report:
             for number, first in enumerate(squares):
                 if report:
                     report(f"baking tiles: square {number + 1} of {len(squares)}", number / len(squares))
+                if not put and all(self.store.has(tile) for tile in tiles if self.squares.of(tile) == first):
+                    continue
                 for tile, baked in self.squares.bake(first).items():
                     note = self.store.store(tile, baked)
                     self.note = note or self.note
