@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import rasterio
 from rasterio import Affine
 from scipy.spatial.transform import Rotation
 from tiled_support import CORNER, hills, write_in_one_piece, write_tiled
@@ -24,7 +25,7 @@ from thermorender.render.tiled.tiled_renderer import TiledRenderer
 from thermorender.scene import world as worlds
 from thermorender.scene.georeference import place_of
 from thermorender.scene.raster import Grid
-from thermorender.scene.sources import Classes, rasters_of
+from thermorender.scene.sources import Classes, Colours, Heights, rasters_of
 from thermorender.scene.surface import FILLED
 from thermorender.scene.tile_grid import APRON, Tile
 from thermorender.trajectory.path import Trajectory
@@ -154,6 +155,52 @@ def test_what_no_texel_of_the_overview_shows_still_asks_for_other_tiles(tmp_path
     assert len(set(keys)) == len(keys)
     moved = folder.rename(tmp_path / "moved")
     assert renderer_of(moved, monkeypatch, quality="fast").store.key == keys[-1]
+
+
+def test_a_changed_file_beside_a_raster_asks_for_other_tiles(tmp_path, monkeypatch, own_cache):
+    folder = write_tiled(tmp_path / "scene")
+    first = renderer_of(folder, monkeypatch, quality="fast")
+    picture = folder / "photo" / "0.tif"
+    (folder / "photo" / "0.tif.aux.xml").write_text("<PAMDataset/>", encoding="utf-8")
+    later = renderer_of(folder, monkeypatch, quality="fast")
+    assert later.store.key != first.store.key
+    grid = later.world.grid.texel_grid(Tile(0, 0, 0))
+    later.world.colours.read(grid)
+    (folder / "photo" / "0.tif.aux.xml").write_text("<PAMDataset></PAMDataset>", encoding="utf-8")
+    with pytest.raises(ThermorenderError, match=rf"{picture.name} was changed or removed"):
+        later.world.colours.read(grid)
+
+
+@pytest.mark.parametrize("name", ["photo", "classes", "dem"])
+def test_of_files_on_one_another_the_last_by_name_counts(tmp_path, own_cache, name):
+    folder = write_tiled(tmp_path / "scene")
+    kind = {"photo": Colours, "classes": Classes, "dem": Heights}[name]
+    before = kind(rasters_of(folder / name))
+    step, (left, _, _, top) = before.extent.pixel, before.extent.bounds
+    shape = (16, 16)
+    patch = {"photo": np.full((3, *shape), 250, np.uint8), "classes": np.full((1, *shape), 9, np.uint8),
+             "dem": np.full((1, *shape), 77.0, np.float32)}[name]  # fmt: skip
+    patch[:, :, 8:] = 0 if name != "dem" else np.nan
+    more = {"photometric": "RGB"} if name == "photo" else {"nodata": np.nan} if name == "dem" else {}
+    write_raster(folder / name / "z.tif", patch, step, corner=(left + 32 * step, top - 32 * step), **more)
+    if name == "photo":
+        with rasterio.open(folder / name / "z.tif", "r+") as file:
+            file.write_mask(np.where(patch[0] > 0, 255, 0).astype(np.uint8))
+    for size in (1, 2):
+        grid = Grid(before.extent.crs, Affine(size * step, 0.0, left + 32 * step, 0.0, -size * step, top - 32 * step),
+                    16 // size, 16 // size)  # fmt: skip
+        one, other = (np.asarray(each[0] if name == "photo" else each, float)
+                      for each in (before.read(grid), kind(rasters_of(folder / name)).read(grid)))  # fmt: skip
+        inner = 8 // size - 1
+        assert (other[:, :inner] == patch.flat[0]).all()
+        np.testing.assert_array_equal(other[:, inner + 2 :], one[:, inner + 2 :])
+
+
+def test_a_map_that_takes_hour_or_relief_is_refused_at_once(tmp_path, monkeypatch, own_cache):
+    one = 'source = "learned"\nmodel = "procedural-trees+"', WEATHER
+    folder = write_tiled(tmp_path / "scene", temperature=one[0], extra=one[1])
+    with pytest.raises(ThermorenderError, match="a map that takes hour or relief needs a scene of one raster"):
+        renderer_of(folder, monkeypatch, quality="fast")
 
 
 def test_a_frame_keeps_its_tiles_while_later_frames_load_others(tmp_path, monkeypatch, own_cache):

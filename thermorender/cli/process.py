@@ -44,7 +44,10 @@ def run(app: typer.Typer, without_arguments: Sequence[str] = ("--help",)) -> NoR
     except (KeyboardInterrupt, typer.Abort):
         status = 130
     if status == 130:
-        typer.echo("stopped; flights, data sets and trainings continue with --resume", err=True)
+        typer.echo(
+            "stopped; flights, data sets and trainings continue with --resume, a comparison with the same command",
+            err=True,
+        )
     raise SystemExit(status or 0)
 
 

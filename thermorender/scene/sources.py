@@ -1,7 +1,7 @@
 """Rasters of any size, in one file or in many: read in windows onto a map's pixel grid, and nothing else of them."""
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,7 @@ from thermorender.scene.raster import (
     Grid,
     RasterWindow,
     bounds_in,
+    files_of,
     grid_of,
     onto,
     read_classes,
@@ -56,30 +57,37 @@ class Source(Protocol):
 
 
 class _SourceFile(NamedTuple):
-    """A file of a layer: its first row and column there, and its size; its bytes and when they were written."""
+    """A file of a layer: its first row and column there, and its size; the bytes of it and of the files that GDAL
+    reads with it, and when they were written."""
 
     path: Path
     row: int
     column: int
     height: int
     width: int
-    state: tuple[int, int]
+    state: tuple[tuple[str, int, int], ...]
 
     def refuse_changed(self) -> None:
         """Raise if the file is another one than when it was opened first."""
-        if _state(self.path) != self.state:
+        if _state([self.path.parent / name for name, *_ in self.state]) != self.state:
             raise ThermorenderError(
                 f"{self.path} was changed or removed while the scene is in use; load the scene again"
             )
 
 
 class _Part(NamedTuple):
-    """What is read of a file for a window of its layer: where it lies in the window, and pixels for each of its own."""
+    """What is read of a file for a window of its layer: where it lies in the window, and pixels for each of its own, of
+    those that a place has."""
 
     path: Path
     window: RasterWindow
     place: tuple[slice, slice]
     weight: int
+    most: int
+
+    def left(self, weight: NDArray[np.floating], known: NDArray[np.bool_]) -> NDArray[np.floating]:
+        """Return the weight of known values beside that of other parts, which lie on this one, in the window."""
+        return np.minimum(self.weight * known, self.most - weight[self.place]).astype(weight.dtype)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,11 +135,12 @@ class _Layer:
         pixels = (rows[1] - rows[0]) * (columns[1] - columns[0])
         whole = within == ((0, file.height), (0, file.width))
         read = RasterWindow((within[0], within[1]), grid, whole, square > 1)
-        return _Part(file.path, read, (place[0], place[1]), pixels // (counts[0] * counts[1]))
+        return _Part(file.path, read, (place[0], place[1]), pixels // (counts[0] * counts[1]), square * square)
 
 
 class _Files:
-    """The files of a source, which may lie beside or on one another; the finest one counts where it has a value.
+    """The files of a source, which may lie beside or on one another; the finest one counts where it has a value, and
+    of equally fine ones the last by name.
 
     Their map is `crs`, by default that of the first file in metres.
     """
@@ -179,11 +188,11 @@ class Heights(_Files):
         found = np.full((grid.height, grid.width), np.nan)
         for window, parts in self.windows(grid):
             total, weight = np.zeros((2, window.height, window.width))
-            for part in parts:
+            for part in reversed(parts):
                 own = heights_in(part.path, part.window)
-                known = np.isfinite(own)
-                total[part.place] += part.weight * np.where(known, own, 0.0)
-                weight[part.place] += part.weight * known
+                own_weight = part.left(weight, np.isfinite(own))
+                total[part.place] += own_weight * np.nan_to_num(own)
+                weight[part.place] += own_weight
             merged = np.where(weight > 0.0, total / np.maximum(weight, 1.0), np.nan)
             own = onto(merged, window, grid, "bilinear")
             np.copyto(found, own, where=np.isfinite(own))
@@ -204,10 +213,11 @@ class Colours(_Files):
         for window, parts in self.windows(grid):
             total = np.zeros((window.height, window.width, 3), np.float32)
             weight = np.zeros((window.height, window.width, 1), np.float32)
-            for part in parts:
+            for part in reversed(parts):
                 rgb, shown = read_colour(part.path, part=part.window)
-                total[part.place] += np.float32(part.weight) * np.where(shown[..., None], rgb, 0)
-                weight[part.place] += np.float32(part.weight) * shown[..., None]
+                own_weight = part.left(weight, shown[..., None])
+                total[part.place] += own_weight * rgb
+                weight[part.place] += own_weight
             rgb = np.rint(total / np.maximum(weight, 1.0)).astype(np.uint8)
             own, valid = resampled(rgb, weight[..., 0] > 0.0, window, grid, "bilinear")
             found[valid], known = own[valid], known | valid
@@ -263,9 +273,10 @@ def _layers(paths: Sequence[Path], grids: Sequence[Grid], crs: Any) -> Iterator[
     for group in groups:
         left, top = int(min(each[2] for each in group)), int(min(each[3] for each in group))
         files = tuple(
-            _SourceFile(path, int(row) - top, int(column) - left, grid.height, grid.width, _state(path))
+            _SourceFile(path, int(row) - top, int(column) - left, grid.height, grid.width,
+                        _state(map(Path, files_of(path, any_size=True))))
             for path, grid, column, row in group
-        )
+        )  # fmt: skip
         first = group[0][1]
         around = Grid(
             first.crs, first.transform @ Affine.translation(left, top), max(each.row + each.height for each in files),
@@ -274,13 +285,16 @@ def _layers(paths: Sequence[Path], grids: Sequence[Grid], crs: Any) -> Iterator[
         yield _Layer(around, step_m(crs, around), files)
 
 
-def _state(path: Path) -> tuple[int, int]:
-    """Size of a file and when it was written; zeros if it is gone."""
-    try:
-        status = path.stat()
-    except OSError:
-        return 0, 0
-    return status.st_size, status.st_mtime_ns
+def _state(paths: Iterable[Path]) -> tuple[tuple[str, int, int], ...]:
+    """Names of files in a folder, their sizes and when they were written; zeros for one that is gone."""
+    found = []
+    for path in paths:
+        try:
+            status = path.stat()
+            found.append((path.name, status.st_size, status.st_mtime_ns))
+        except OSError:
+            found.append((path.name, 0, 0))
+    return tuple(found)
 
 
 def _runs(first: int, size: int, square: int, start: int, stop: int) -> list[tuple[int, int]]:

@@ -152,6 +152,8 @@ def methods_of(
                 f"{given.scene.where}: learned map {model.name!r} takes hour and weather as input, but this scene has "
                 "none; add [weather], or leave the map out"
             )
+        if model.needs and given.scene.world is not None:
+            raise given.scene.not_on_tiles(f"learned map {model.name!r}, which takes {' and '.join(model.needs)},")
         once = replace(model, predictor=Remembered(model.predictor))
         for letter, of_map in OF_MAPS.items():
             if letter in letters:
@@ -306,8 +308,9 @@ def _privileged(given: Given) -> Iterator[Method | str]:
         return
     scene, (text, model) = given.scene, given.privileged
     time = scene.time
-    if not given.weathered or time is None:
-        yield f"P {model.name} is left out of {scene.name}: the scene has no [weather]."
+    if scene.world is not None or not given.weathered or time is None:
+        why = "the scene has no [weather]" if scene.world is None else "its ground is in tiles"
+        yield f"P {model.name} is left out of {scene.name}: {why}."
         return
     kelvin = _table_temperatures(scene)
 

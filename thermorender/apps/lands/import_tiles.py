@@ -15,7 +15,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.files import atomic_folder, check_new_folder
 from thermorender.formats import write_text
 from thermorender.scene.folder import read_files
-from thermorender.scene.raster import files_of, grid_of
+from thermorender.scene.raster import FORMATS, files_of, grid_of
 from thermorender.scene.sources import rasters_of
 from thermorender.scene.spec import read_scene
 from thermorender.schema import toml_text
@@ -52,8 +52,8 @@ def import_tiles(elevation: Path, orthophoto: Path, folder: Path, settings: Impo
     with atomic_folder(folder) as part:
         for name, paths in given.items():
             (part / name).mkdir()
-            for path in paths:
-                _link(path, part / name)
+            for number, path in enumerate(paths):
+                _link(path, part / name, "" if paths == sorted(paths, key=lambda each: each.name) else f"{number:05d}_")
         if settings.weather is not None:
             shutil.copyfile(settings.weather, part / weather_name(settings.weather))
         write_text(part / "scene.toml", toml_text(tables, f"Made from {elevation} and {orthophoto}."))
@@ -81,6 +81,9 @@ def import_tiles(elevation: Path, orthophoto: Path, folder: Path, settings: Impo
 def _given(path: Path) -> list[Path]:
     """The rasters of an argument."""
     found = files_of_mosaic(path) if path.suffix.lower() == ".vrt" else rasters_of(path)
+    unread = [each for each in found if each.suffix.lower() not in FORMATS]
+    if unread:
+        raise ThermorenderError(f"{unread[0]} is not a raster that is read: give {', '.join(FORMATS)}, or convert it")
     names = [each.name for each in found]
     for each in found:
         if names.count(each.name) > 1:
@@ -88,13 +91,18 @@ def _given(path: Path) -> list[Path]:
     return found
 
 
-def _link(path: Path, folder: Path) -> None:
-    """Link a raster and the files beside it that GDAL reads with it."""
+def _link(path: Path, folder: Path, before: str) -> None:
+    """Link a raster and the files beside it that GDAL reads with it, with a text before their names, which order them:
+    the last one lies on the others."""
     for each in files_of(path, any_size=True):
+        place = folder / f"{before}{Path(each).name}"
+        if place.exists() and os.path.samefile(each, place):
+            # Several rasters may share a file.
+            continue
         try:
-            os.link(os.path.realpath(each), folder / Path(each).name)
+            os.link(os.path.realpath(each), place)
         except OSError as error:
             raise ThermorenderError(
-                f"{each} cannot be linked into {folder.parent} ({error.strerror}); write the scene to the drive of its "
+                f"{each} cannot be linked into the scene ({error.strerror}); write the scene to the drive of its "
                 "rasters"
             ) from None

@@ -26,6 +26,7 @@ from thermorender.render.tiled.squares import ROWS, Squares
 from thermorender.render.view import View
 from thermorender.scene.georeference import place_of
 from thermorender.scene.scene import Scene
+from thermorender.scene.temperature_state import Conditional
 from thermorender.scene.tile_grid import APRON, Cell, Tile, cell_of
 from thermorender.sensor.camera import Camera
 from thermorender.trajectory.rotations import checked_pose
@@ -64,6 +65,8 @@ class TiledRenderer(Renderer):
         # An edit may ask for what the scene file may not.
         if scene.spec.lacking_on_tiles:
             raise scene.not_on_tiles(scene.spec.lacking_on_tiles)
+        if isinstance(scene.temperature_state.source, Conditional):
+            raise scene.not_on_tiles("a map that takes hour or relief")
         self._given = (scene, quality, samples, taps, edge_mk, rays, tolerance_mk, seed, device), rows
         super().__init__(scene, quality, samples, taps, edge_mk, rays, tolerance_mk, seed, device, progress)
         self.world, sampling = scene.world, self.plan.sampling
