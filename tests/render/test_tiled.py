@@ -17,6 +17,7 @@ from thermorender.cache import cache_folder
 from thermorender.errors import ThermorenderError
 from thermorender.output.flight import FlightOptions
 from thermorender.render.renderer import Renderer
+from thermorender.render.tiled import loading
 from thermorender.render.tiled.baked_tile import TileStore
 from thermorender.render.tiled.cells import assembled
 from thermorender.render.tiled.squares import Squares
@@ -240,6 +241,25 @@ def test_tiles_that_are_read_ahead_are_those_of_the_next_cell_on_the_way(tmp_pat
     found += [again.frame(pose).radiance for pose in poses[1:]]
     for one, other in zip(alone, found, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_no_more_tiles_are_read_ahead_than_memory_allows(tmp_path, monkeypatch, own_cache):
+    folder = write_tiled(tmp_path / "scene")
+    renderer = renderer_of(folder, monkeypatch, quality="fast")
+    poses = [renderer.scene.pose(east, -30.0, 25.0, 90.0, -50.0, 0.0) for east in (-40.0, 20.0)]
+    for pose in poses:
+        renderer.frame(pose)
+    again = renderer_of(folder, monkeypatch, quality="fast")
+    first, second = (set(again.tiles(again.cell(pose))) for pose in poses)
+    new = sorted(second - first)
+    assert len(new) > 2
+    memory = again.loader.memory
+    monkeypatch.setattr(loading, "_AHEAD_BYTES", memory.bytes_of(first) + memory.bytes_of(new[:2]) + 10.0)
+    again.expect(poses)
+    again.frame(poses[0])
+    again.loader._wait()
+    # Tiles without ground take nothing, but are counted before they are read.
+    assert 0 < len(set(new) & (set(again.loader.memory.tiles) | again.loader._bare)) <= 2 + len(again.loader._bare)
 
 
 def test_colours_of_tiles_are_those_of_the_picture_from_the_first_view_on(tmp_path, monkeypatch, own_cache):

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from random import Random
 from threading import RLock
 
+import numpy as np
+
 from thermorender.progress import interactive
 from thermorender.render.baked import Progress
 from thermorender.render.tiled.baked_tile import BakedTile, TileStore
@@ -16,6 +18,8 @@ from thermorender.scene.tile_grid import APRON, Tile
 
 # Threads that read tiles: most of a tile's time is its checksum and the means of its texels.
 _THREADS = 2
+# Memory of tiles up to which others are read beside them [bytes].
+_AHEAD_BYTES = 1.8e9
 
 
 @dataclass(eq=False)
@@ -84,8 +88,11 @@ class TileLoader:
                         self._put(tile, baked)
 
     def read_ahead(self, tiles: Collection[Tile]) -> None:
-        """Begin to read tiles that are on disk, beside the others in memory, where there is room."""
+        """Begin to read tiles that are on disk, as many as there is room for beside the others in memory."""
         wanted = self._wanted(tiles)
+        room = _AHEAD_BYTES - self.memory.bytes_of(self.memory.tiles)
+        ends = np.cumsum([self.memory.bytes_of([tile]) for tile in wanted])
+        wanted = wanted[: int(np.searchsorted(ends, room, side="right"))]
         if self.memory.room_for(wanted):
             self._ahead += [self._threads.submit(self._read, tile) for tile in wanted]
 

@@ -72,6 +72,14 @@ class TexelMemory:
         """Return whether tiles find slots, if those in memory stay."""
         return len(set(tiles).difference(self.tiles)) <= len(self.free)
 
+    def bytes_of(self, tiles: Iterable[Tile]) -> float:
+        """Return about the memory that tiles take [bytes]."""
+        half = 2.0 * (self._channels - 1)
+        colour = 8.0 if self.coloured else 0.0
+        # Material, flags and temperature are without means over squares.
+        return sum(6.0 * self._count[0] + sum(self._count) * (4.0 + colour + half * (0.25 if tile.level else 1.0))
+                   for tile in tiles)  # fmt: skip
+
     @property
     def free(self) -> NDArray[np.int64]:
         """Slots that neither a tile nor a KeptTexels uses."""
