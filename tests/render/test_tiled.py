@@ -1,6 +1,7 @@
 """Tiled ground: frames equal those of one piece, whatever is cut, kept on disk or damaged there."""
 
 import gc
+import mmap
 import pickle
 from dataclasses import replace
 
@@ -212,7 +213,7 @@ def test_a_frame_keeps_its_tiles_while_later_frames_load_others(tmp_path, monkey
     memory = renderer.loader.memory
     for pose in poses[1:]:
         memory.keep(())
-        memory._temperature[memory.free] = 0.0
+        memory._temperature.array[memory.free] = 0.0
         renderer._made = None
         renderer.radiance(pose)
     assert renderer.loader.memory is memory
@@ -241,6 +242,25 @@ def test_tiles_that_are_read_ahead_are_those_of_the_next_cell_on_the_way(tmp_pat
     found += [again.frame(pose).radiance for pose in poses[1:]]
     for one, other in zip(alone, found, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.skipif(not hasattr(mmap, "MADV_DONTNEED"), reason="the system takes no pages back")
+def test_memory_of_tiles_that_nothing_needs_goes_back_to_the_system(tmp_path, monkeypatch, own_cache):
+    renderer = renderer_of(write_tiled(tmp_path / "scene"), monkeypatch, quality="fast")
+    frame = renderer.frame(renderer.scene.pose(-30.0, -30.0, 12.0, 0.0, -80.0, 0.0))
+    memory = renderer.loader.memory
+    used = sorted(memory._slot.values())
+    memory.keep(())
+    kept = memory._first.array[: memory.slots * memory._count[0]].reshape(memory.slots, -1)[used]
+    assert (kept > 0.0).mean() > 0.9
+    # Without the frame and the cell nothing reads them; pages that go back are zero.
+    del frame
+    gc.collect()
+    renderer._made = None
+    gc.collect()
+    assert len(memory.free) == memory.slots
+    kept = memory._first.array[: memory.slots * memory._count[0]].reshape(memory.slots, -1)[used]
+    assert (kept == 0.0).mean() > 0.7
 
 
 def test_no_more_tiles_are_read_ahead_than_memory_allows(tmp_path, monkeypatch, own_cache):

@@ -1,12 +1,15 @@
 """Texels of tiles in memory: each tile in a slot of arrays that the kernels read in place.
 
-The arrays have many more slots than a view needs. The system gives memory to the pages that were written only, and a
-tile that comes next takes the slot of one that is no longer needed.
+The arrays have many more slots than a view needs. The system gives memory to the pages that were written only, and
+those of a tile that is no longer needed go back to it.
 """
 
+import mmap
 from collections.abc import Collection, Iterable
 from dataclasses import replace
+from math import prod
 from threading import RLock
+from typing import Any
 from weakref import finalize
 
 import numpy as np
@@ -24,6 +27,25 @@ from thermorender.scene.tile_grid import Tile
 
 # Slots of a memory, and numbers of texels, which are below 2³¹.
 SLOTS, _MOST = 768, 2**31 - 1
+
+
+class _Pages:
+    """An array in memory of its own, parts of which can be given back."""
+
+    def __init__(self, shape: tuple[int, ...], dtype: type[np.generic]) -> None:
+        # Pages of a shared map would stay in memory.
+        private = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_PRIVATE") else {}
+        self._map = mmap.mmap(-1, max(prod(shape) * np.dtype(dtype).itemsize, 1), **private)
+        self.array: NDArray[Any] = np.frombuffer(self._map, dtype, prod(shape)).reshape(shape)
+
+    def forget(self, part: NDArray[Any]) -> None:
+        """Give the whole pages of a contiguous part back to the system, where it takes them; they are zero then."""
+        if hasattr(mmap, "MADV_DONTNEED"):
+            start = part.ctypes.data - self.array.ctypes.data
+            first = -(-start // mmap.PAGESIZE) * mmap.PAGESIZE
+            length = (start + part.nbytes) // mmap.PAGESIZE * mmap.PAGESIZE - first
+            if length > 0:
+                self._map.madvise(mmap.MADV_DONTNEED, first, length)
 
 
 class _Lease:
@@ -46,15 +68,15 @@ class TexelMemory:
         self.tiles, self._slot = dict[Tile, BakedTile](), dict[Tile, int]()
         # How many KeptTexels use each slot.
         self._users, self._lock = np.zeros(slots, np.int64), RLock()
-        self._first = np.empty((slots * sum(count), 1), np.float32)
-        self._rest = [np.empty((slots * sum(count), width), np.float16) for width in widths(channels - 1)]
+        self._first = _Pages((slots * sum(count), 1), np.float32)
+        self._rest = [_Pages((slots * sum(count), width), np.float16) for width in widths(channels - 1)]
         # Level that the latter begin with in each slot.
         self._finest = np.zeros(slots, np.uint32)
         shape = slots, side, side
-        self._material, self._flags = np.empty(shape, np.uint8), np.empty(shape, np.uint8)
-        self._temperature = np.empty(shape, np.float32)
+        self._material, self._flags = _Pages(shape, np.uint8), _Pages(shape, np.uint8)
+        self._temperature = _Pages(shape, np.float32)
         # Linear colours, and 1 where they are known; None until they are asked for.
-        self._colour: NDArray[np.float16] | None = None
+        self._colour: _Pages | None = None
 
     def emptied(self, slots: int) -> "TexelMemory":
         """Return another memory of the same kind without tiles."""
@@ -92,18 +114,18 @@ class TexelMemory:
         with self._lock:
             slot = self._slot[tile] = int(self.free[0])
         for number, level in enumerate(_levels(baked.first[..., None])):
-            self._part(self._first, number, slot)[...] = level.reshape(-1, 1)
+            self._part(self._first.array, number, slot)[...] = level.reshape(-1, 1)
         finest = self._finest[slot] = int(baked.rest.shape[0] < self._side)
         ends = np.cumsum(widths(baked.rest.shape[-1]))[:-1]
         for number, level in enumerate(_levels(baked.rest.astype(np.float32)), start=finest):
             for kept, part in zip(self._rest, np.split(level, ends, axis=-1), strict=bool(self._rest)):
-                self._part(kept, number, slot)[...] = part.reshape(-1, kept.shape[1])
+                self._part(kept.array, number, slot)[...] = part.reshape(-1, kept.array.shape[1])
         if self._colour is not None:
             known = (baked.flags & FILLED) == 0
             colour = np.concatenate([linear_from_bytes(baked.colour), known[..., None]], axis=-1, dtype=np.float32)
             for number, level in enumerate(_levels(colour)):
-                self._part(self._colour, number, slot)[...] = level.reshape(-1, 4)
-        material, flags, temperature = self._material[slot], self._flags[slot], self._temperature[slot]
+                self._part(self._colour.array, number, slot)[...] = level.reshape(-1, 4)
+        material, flags, temperature = (each.array[slot] for each in (self._material, self._flags, self._temperature))
         material[...], flags[...], temperature[...] = baked.material, baked.flags, baked.temperature
         left = replace(
             baked, material=material, flags=flags, temperature=temperature, first=baked.first[:0].copy(),
@@ -114,22 +136,25 @@ class TexelMemory:
     def keep(self, tiles: Iterable[Tile]) -> None:
         """Forget all tiles but some."""
         with self._lock:
-            for tile in set(self._slot).difference(tiles):
+            gone = set(self._slot).difference(tiles)
+            slots = [self._slot.pop(tile) for tile in gone]
+            for tile in gone:
                 self.tiles.pop(tile, None)
-                del self._slot[tile]
+            self._give_back(slots)
 
     def keep_colours(self) -> None:
         """Keep the colours of tiles from now on; those in memory are forgotten."""
-        self._colour = np.empty((self.slots * sum(self._count), 4), np.float16)
+        self._colour = _Pages((self.slots * sum(self._count), 4), np.float16)
         self.keep(())
 
     def texels(self, mi: Mitsuba, tiles: Iterable[Tile]) -> tuple[KeptTexels, Slots]:
         """Return (texels for kernels, the Slots of tiles). The slots are kept as long as the texels are."""
-        rest = Channels.of_arrays(mi, self._rest, coarse=True) if self._rest else None
-        first = Channels.of_arrays(mi, [self._first])
-        colours = None if self._colour is None else Channels.of_arrays(mi, [self._colour])
-        found = KeptTexels(first, rest, self._material.reshape(-1), self._flags.reshape(-1),
-                           self._temperature.reshape(-1), _Lease(), colours=colours)  # fmt: skip
+        rest = Channels.of_arrays(mi, [each.array for each in self._rest], coarse=True) if self._rest else None
+        first = Channels.of_arrays(mi, [self._first.array])
+        colours = None if self._colour is None else Channels.of_arrays(mi, [self._colour.array])
+        material, flags, temperature = (each.array.reshape(-1)
+                                        for each in (self._material, self._flags, self._temperature))  # fmt: skip
+        found = KeptTexels(first, rest, material, flags, temperature, _Lease(), colours=colours)
         with self._lock:
             slot = np.array([self._slot[tile] for tile in tiles], np.int64)
             self._users[slot] += 1
@@ -139,6 +164,17 @@ class TexelMemory:
     def _release(self, slots: NDArray[np.int64]) -> None:
         with self._lock:
             self._users[slots] -= 1
+            self._give_back(slots)
+
+    def _give_back(self, slots: Iterable[int]) -> None:
+        """Give the memory of slots back that are free."""
+        by_texel = [each for each in (self._first, *self._rest, self._colour) if each is not None]
+        for slot in set(slots).intersection(self.free.tolist()):
+            for pages in by_texel:
+                for level in range(len(self._count)):
+                    pages.forget(self._part(pages.array, level, slot))
+            for pages in (self._material, self._flags, self._temperature):
+                pages.forget(pages.array[slot])
 
     def _part(self, whole: NDArray[np.floating], level: int, slot: int) -> NDArray[np.floating]:
         """The squares of a level of a slot."""
