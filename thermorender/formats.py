@@ -17,6 +17,8 @@ from thermorender.errors import ThermorenderError
 from thermorender.files import PathLike, atomic
 
 if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
     import numpy as np
 
 # Key of a dict's checksum on file.
@@ -58,6 +60,25 @@ def read_text(path: PathLike, kind: str = "UTF-8", other: str | None = None) -> 
         raise ThermorenderError(f"{path} is not a whole gzip file ({error}); compress it again with gzip") from error
     except OSError as error:
         raise ThermorenderError(f"{path} cannot be read ({error.strerror}); give a text file") from error
+
+
+def xml_root(path: PathLike, kind: str, again: str) -> Element:
+    """Return the outermost element of an XML file without entities of its own, which may be of any size.
+
+    `kind` and `again` are for messages: what it should be, and how to mend it.
+    """
+    from xml.etree import ElementTree
+
+    text = read_text(path, f"{kind} in UTF-8")
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise ThermorenderError(
+            f"{path} holds a document type definition (<!DOCTYPE …>), which {kind} does not need and which is not "
+            "read; delete it"
+        )
+    try:
+        return ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise ThermorenderError(f"{path} is not {kind} ({error}); {again}") from error
 
 
 def csv_rows(text: str, strict: bool = True) -> list[list[str]]:

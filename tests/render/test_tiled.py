@@ -227,12 +227,17 @@ def test_a_frame_keeps_its_tiles_while_later_frames_load_others(tmp_path, monkey
     assert len(memory.free) == memory.slots
 
 
-def test_tiles_that_are_read_ahead_are_those_of_the_next_cell_on_the_way(tmp_path, monkeypatch, own_cache):
+def two_cells(tmp_path, monkeypatch):
+    """(Poses in two cells, the radiance from each, a renderer of the same scene with their tiles on disk)."""
     folder = write_tiled(tmp_path / "scene")
     renderer = renderer_of(folder, monkeypatch, quality="fast")
     poses = [renderer.scene.pose(east, -30.0, 25.0, 90.0, -50.0, 0.0) for east in (-40.0, 20.0)]
     alone = [renderer.frame(pose).radiance for pose in poses]
-    again = renderer_of(folder, monkeypatch, quality="fast")
+    return poses, alone, renderer_of(folder, monkeypatch, quality="fast")
+
+
+def test_tiles_that_are_read_ahead_are_those_of_the_next_cell_on_the_way(tmp_path, monkeypatch, own_cache):
+    poses, alone, again = two_cells(tmp_path, monkeypatch)
     assert again.expect([poses[0], *poses, poses[1]]) == {2}
     found = [again.frame(poses[0]).radiance]
     for each in again.loader._ahead:
@@ -264,12 +269,7 @@ def test_memory_of_tiles_that_nothing_needs_goes_back_to_the_system(tmp_path, mo
 
 
 def test_no_more_tiles_are_read_ahead_than_memory_allows(tmp_path, monkeypatch, own_cache):
-    folder = write_tiled(tmp_path / "scene")
-    renderer = renderer_of(folder, monkeypatch, quality="fast")
-    poses = [renderer.scene.pose(east, -30.0, 25.0, 90.0, -50.0, 0.0) for east in (-40.0, 20.0)]
-    for pose in poses:
-        renderer.frame(pose)
-    again = renderer_of(folder, monkeypatch, quality="fast")
+    poses, _, again = two_cells(tmp_path, monkeypatch)
     first, second = (set(again.tiles(again.cell(pose))) for pose in poses)
     new = sorted(second - first)
     assert len(new) > 2
@@ -382,11 +382,7 @@ def test_tiles_that_another_process_bakes_meanwhile_are_not_baked_again(tmp_path
 
 
 def test_a_tile_that_could_not_be_read_ahead_is_read_again(tmp_path, monkeypatch, own_cache):
-    folder = write_tiled(tmp_path / "scene")
-    renderer = renderer_of(folder, monkeypatch, quality="fast")
-    poses = [renderer.scene.pose(east, -30.0, 25.0, 90.0, -50.0, 0.0) for east in (-40.0, 20.0)]
-    alone = [renderer.frame(pose).radiance for pose in poses]
-    again = renderer_of(folder, monkeypatch, quality="fast")
+    poses, alone, again = two_cells(tmp_path, monkeypatch)
     again.expect(poses)
     load = TileStore.load
 
@@ -441,6 +437,11 @@ def test_a_flight_over_tiles_is_resumed_to_the_same_bytes(tmp_path, monkeypatch,
     tr.fly(renderer_of(tmp_path / "scene", monkeypatch, quality="fast"), path, tmp_path / "again", options, resume=True)
     for one in sorted((tmp_path / "whole").glob("frame_*")):
         assert one.read_bytes() == (tmp_path / "again" / one.name).read_bytes(), one.name
+    # A file beside a raster may change tiles that the overview does not show.
+    (tmp_path / "scene" / "photo" / "0.tif.aux.xml").write_text("<PAMDataset/>", encoding="utf-8")
+    changed = renderer_of(tmp_path / "scene", monkeypatch, quality="fast")
+    with pytest.raises(ThermorenderError, match="scene_digest"):
+        tr.fly(changed, path, tmp_path / "again", options, resume=True)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ order. Two edits of the same thing are the exception, and the last one counts: `
 `with_weather(time=…)`, an edit and itself.
 """
 
+import hashlib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -253,14 +254,6 @@ class Scene:
         """Raise if the ground is tiled; `other` begins the advice."""
         if self.world is not None:
             raise self.not_on_tiles(what, other)
-
-    def tiles_digest(self) -> str:
-        """Return a fingerprint of all that the tiles of this ground depend on, which its overview may not show."""
-        assert self.world is not None
-        spec, model = self.spec, self._declared.temperature_map
-        # The file of a map may be moved; its content counts.
-        rules = every_field(spec.temperature, "model"), every_field(spec.emissivity)
-        return repr((self.digest(), self.world.digest(), rules, model and model.digest()))
 
     def on_ground(self, ground: "WorldGround") -> "Scene":
         """Return this scene on a part of its tiled ground, lit by the same sun, sky and air."""
@@ -883,7 +876,13 @@ class Scene:
 
     def digest(self) -> str:
         """Return a fingerprint (hex) of everything a frame of this scene depends on."""
-        return str(self._values["digest"])
+        own = str(self._values["digest"])
+        if self.world is None:
+            return own
+        # Tiles depend on files and rules that the overview may not show. Of a map's file the content counts.
+        model, spec = self._declared.temperature_map, self.spec
+        rules = every_field(spec.temperature, "model"), every_field(spec.emissivity), model and model.digest()
+        return hashlib.blake2b(repr((own, self.world.digest(), rules)).encode(), digest_size=16).hexdigest()
 
     def weather_digest(self) -> str:
         """Return a fingerprint (hex) of the weather: its series, its place and what was filled in."""

@@ -39,7 +39,7 @@ def main(arguments):
     band_of = np.repeat(np.arange(5), POINTS)
     for nodes in (12, 16, 20, 24):
         groups = chosen(lit, band_of, nodes)
-        off = 1e3 * np.array([judged(each, groups, range(0, len(band_of), POINTS), _PATHS, _SKIES) for each in held])
+        off = 1e3 * np.array([judged(each, groups, _PATHS, _SKIES) for each in held])
         seen, sky = np.abs(off[:, : len(_PATHS)]), off[:, len(_PATHS) :]
         say(f"{nodes} nodes, 20 K of contrast on other paths and columns [mK]: median {np.median(seen):.0f}, 95 % "
             f"{np.percentile(seen, 95):.0f}, worst {seen.max():.0f}; sky, radiance over slope at the ground: "

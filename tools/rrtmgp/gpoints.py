@@ -27,6 +27,19 @@ class Place(NamedTuple):
     pressure: tuple[NDArray[np.intp], Floats]
     upper: NDArray[np.bool_]  # Above the reference tropopause
 
+    def part(self, levels: NDArray[np.intp]) -> "Place":
+        """Return that of some levels."""
+        row, up = ((index[levels], fraction[levels]) for index, fraction in (self.temperature, self.pressure))
+        return Place(row, up, self.upper[levels])
+
+
+class Mixed(NamedTuple):
+    """Amount of both key species at levels, in molecules of dry air, and their mixture η in the tables."""
+
+    amount: Floats
+    index: NDArray[np.intp]
+    fraction: Floats
+
 
 @dataclass(frozen=True)
 class Minor:
@@ -97,9 +110,8 @@ class GPoints:
         return Place((first, over - first), (level + upper, high - level), upper)
 
     def absorption(
-        self, pressure_pa: Floats, temperature: Floats, mixing: Mapping[str, Floats], bands: slice = slice(None),
-        parts: bool = False,
-    ) -> Floats | tuple[Floats, dict[str, Floats]]:  # fmt: skip
+        self, pressure_pa: Floats, temperature: Floats, mixing: Mapping[str, Floats], bands: slice = slice(None)
+    ) -> Floats:
         """Return absorption cross sections per molecule of dry air, (G of the bands, L) [cm²].
 
         Parameters
@@ -108,74 +120,65 @@ class GPoints:
         mixing : {gas: (L,) array}
             Molecules of a gas over those of dry air; gases that are not given are absent.
         bands : slice
-        parts : bool
-            Also return those of the self and of the foreign continuum of water, by "h2o_self" and "h2o_frgn".
         """
-        place, chosen = self.place(pressure_pa, temperature), self.points(bands)
-        total = np.zeros((len(chosen), len(pressure_pa)))
-        apart = {f"{WATER}_{kind}": np.zeros_like(total) for kind in ("self", "frgn")}
-        water = mixing.get(WATER, np.zeros(len(pressure_pa)))
-        for band in np.unique(self.band_of[chosen]):
-            rows = np.flatnonzero(self.band_of[chosen] == band)
-            of_band = np.flatnonzero(self.band_of == band)
-            for upper in (0, 1):
-                levels = np.flatnonzero(place.upper == bool(upper))
-                if not levels.size:
+        total = np.zeros((len(self.points(bands)), len(pressure_pa)))
+        for at, points, upper, place, mixed in self._walk(pressure_pa, temperature, mixing, bands):
+            total[at] = self._major(self.major, points, place, mixed).T
+            levels = at[1].ravel()
+            own = {name: values[levels] for name, values in mixing.items()}
+            water = own.get(WATER, np.zeros(len(levels)))
+            for minor in self.minor[upper]:
+                if minor.points.start != points.start or minor.gas not in own:
                     continue
-                own = _part(place, levels)
-                mixed = self._mixed(band, upper, own, mixing, levels)
-                at = np.ix_(rows, levels)
-                total[at] += self._looked_up(self.major, of_band, own, mixed, weighted=True).T
-                for minor in self.minor[upper]:
-                    if minor.points.start != of_band[0] or minor.gas not in mixing:
-                        continue
-                    scale = mixing[minor.gas][levels].copy()
-                    if minor.with_density:
-                        scale *= 0.01 * pressure_pa[levels] / temperature[levels]
-                    if minor.scaled_by:
-                        share = mixing.get(minor.scaled_by, np.zeros_like(water))[levels] / (1.0 + water[levels])
-                        scale *= 1.0 - share if minor.by_complement else share
-                    found = (scale[:, None] * _minor_at(minor.cross_section, own, mixed)).T
-                    total[at] += found
-                    if minor.kind in apart:
-                        apart[minor.kind][at] += found
-        total = np.maximum(total, 0.0)
-        return (total, apart) if parts else total
+                scale = own[minor.gas]
+                if minor.with_density:
+                    scale = scale * 0.01 * pressure_pa[levels] / temperature[levels]
+                if minor.scaled_by:
+                    share = own.get(minor.scaled_by, np.zeros(len(levels))) / (1.0 + water)
+                    scale = scale * (1.0 - share if minor.by_complement else share)
+                total[at] += (scale[:, None] * _minor_at(minor.cross_section, place, mixed)).T
+        return np.maximum(total, 0.0)
 
     def shares(
         self, pressure_pa: Floats, temperature: Floats, mixing: Mapping[str, Floats], bands: slice = slice(None)
     ) -> Floats:
         """Return the share of each g point in its band's Planck radiance, (G of the bands, L)."""
-        place, chosen = self.place(pressure_pa, temperature), self.points(bands)
-        found = np.zeros((len(chosen), len(pressure_pa)))
-        for band in np.unique(self.band_of[chosen]):
-            rows, of_band = np.flatnonzero(self.band_of[chosen] == band), np.flatnonzero(self.band_of == band)
-            for upper in (0, 1):
-                levels = np.flatnonzero(place.upper == bool(upper))
-                if levels.size:
-                    own = _part(place, levels)
-                    mixed = self._mixed(band, upper, own, mixing, levels)
-                    found[np.ix_(rows, levels)] = self._looked_up(self.share, of_band, own, mixed, weighted=False).T
+        found = np.zeros((len(self.points(bands)), len(pressure_pa)))
+        for at, points, _, place, mixed in self._walk(pressure_pa, temperature, mixing, bands):
+            one = [each._replace(amount=np.ones_like(each.amount)) for each in mixed]
+            found[at] = self._major(self.share, points, place, one).T
         return found
 
     def radiance(self, temperature: Floats) -> Floats:
         """Return a blackbody's radiance in each band, (..., B) [W m⁻² sr⁻¹]."""
         return np.stack([np.interp(temperature, self.planck_k, each) for each in self.planck], axis=-1)
 
+    def _walk(
+        self, pressure_pa: Floats, temperature: Floats, mixing: Mapping[str, Floats], bands: slice
+    ) -> Iterator[tuple[tuple[NDArray[np.intp], ...], slice, int, Place, list[Mixed]]]:
+        """Yield (rows and levels, numbers of the g points, part of the atmosphere, Place, Mixed below and above) of
+        each band in the lower (0) and in the upper (1) atmosphere."""
+        place, chosen = self.place(pressure_pa, temperature), self.points(bands)
+        for band in np.unique(self.band_of[chosen]):
+            rows, points = np.flatnonzero(self.band_of[chosen] == band), np.flatnonzero(self.band_of == band)
+            for upper in (0, 1):
+                levels = np.flatnonzero(place.upper == bool(upper))
+                if levels.size:
+                    own = place.part(levels)
+                    mixed = [self._mixed(band, upper, own.temperature[0] + more, mixing, levels) for more in (0, 1)]
+                    yield np.ix_(rows, levels), slice(points[0], points[-1] + 1), upper, own, mixed
+
     def _mixed(
-        self, band: int, upper: int, place: Place, mixing: Mapping[str, Floats], levels: NDArray[np.intp]
-    ) -> list[tuple[Floats, NDArray[np.intp], Floats]]:
-        """[(amount of both key species, index of η, fraction)] at the temperatures below and above."""
+        self, band: int, upper: int, row: NDArray[np.intp], mixing: Mapping[str, Floats], levels: NDArray[np.intp]
+    ) -> Mixed:
+        """The key species of a band at rows of the temperatures."""
         one, other = (self._of(number, mixing, levels) for number in self.key[band, upper])
-        found = []
-        for more in (0, 1):
-            ratio = self.ratio[place.temperature[0] + more, :, upper][:, self.key[band, upper]]
-            amount = one + ratio[:, 0] / ratio[:, 1] * other
-            known = amount > 0.0
-            eta = np.where(known, one / np.where(known, amount, 1.0), 0.5) * (self.major.shape[2] - 1)
-            index = np.minimum(eta.astype(np.intp), self.major.shape[2] - 2)
-            found.append((amount, index, eta - index))
-        return found
+        ratio = self.ratio[row, :, upper][:, self.key[band, upper]]
+        amount = one + ratio[:, 0] / ratio[:, 1] * other
+        known = amount > 0.0
+        eta = np.where(known, one / np.where(known, amount, 1.0), 0.5) * (self.major.shape[2] - 1)
+        index = np.minimum(eta.astype(np.intp), self.major.shape[2] - 2)
+        return Mixed(amount, index, eta - index)
 
     def _of(self, number: int, mixing: Mapping[str, Floats], levels: NDArray[np.intp]) -> Floats:
         """Mixing ratio of a gas by its number; 0 is dry air."""
@@ -184,39 +187,30 @@ class GPoints:
         given = mixing.get(self.gases[number - 1])
         return np.zeros(len(levels)) if given is None else given[levels]
 
-    def _looked_up(
-        self, table: Floats, points: NDArray[np.intp], place: Place,
-        mixed: list[tuple[Floats, NDArray[np.intp], Floats]], weighted: bool,
-    ) -> Floats:  # fmt: skip
-        """Values (L, g) of a table (T, P + 1, η, G), times the amounts of the key species if `weighted`."""
+    def _major(self, table: Floats, points: slice, place: Place, mixed: list[Mixed]) -> Floats:
+        """Values (L, g) of a table (T, P + 1, η, G), times the amounts of the key species."""
         row, up = place.pressure
-        first, warm = place.temperature
-        part = table[..., points[0] : points[-1] + 1]
-        found = np.zeros((len(row), len(points)))
-        for more, (amount, index, fraction) in enumerate(mixed):
-            of_t = warm if more else 1.0 - warm
-            for high, of_p in ((0, 1.0 - up), (1, up)):
-                for further, of_eta in ((0, 1.0 - fraction), (1, fraction)):
-                    weight = of_t * of_p * of_eta * (amount if weighted else 1.0)
-                    found += weight[:, None] * part[first + more, row + high, index + further]
+        part = table[..., points]
+        found = np.zeros((len(row), part.shape[-1]))
+        for first, index, weight, amount in _corners(place, mixed):
+            for high, share in ((0, 1.0 - up), (1, up)):
+                found += (weight * share * amount)[:, None] * part[first, row + high, index]
         return found
 
 
-def _part(place: Place, levels: NDArray[np.intp]) -> Place:
-    return Place(
-        (place.temperature[0][levels], place.temperature[1][levels]),
-        (place.pressure[0][levels], place.pressure[1][levels]), place.upper[levels],
-    )  # fmt: skip
-
-
-def _minor_at(section: Floats, place: Place, mixed: list[tuple[Floats, NDArray[np.intp], Floats]]) -> Floats:
-    """Cross sections (L, g) of a minor gas."""
+def _corners(place: Place, mixed: list[Mixed]) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats]]:
+    """Yield (row of the temperatures, index of η, weight, amount) of the four points around levels."""
     first, warm = place.temperature
-    found = np.zeros((len(first), section.shape[-1]))
-    for more, (_, index, fraction) in enumerate(mixed):
-        of_t = warm if more else 1.0 - warm
-        for further, of_eta in ((0, 1.0 - fraction), (1, fraction)):
-            found += (of_t * of_eta)[:, None] * section[first + more, index + further]
+    for more, (amount, index, fraction) in enumerate(mixed):
+        for further, share in ((0, 1.0 - fraction), (1, fraction)):
+            yield first + more, index + further, (warm if more else 1.0 - warm) * share, amount
+
+
+def _minor_at(section: Floats, place: Place, mixed: list[Mixed]) -> Floats:
+    """Cross sections (L, g) of a minor gas."""
+    found = np.zeros((len(place.upper), section.shape[-1]))
+    for first, index, weight, _ in _corners(place, mixed):
+        found += weight[:, None] * section[first, index]
     return found
 
 

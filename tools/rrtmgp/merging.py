@@ -34,8 +34,7 @@ SKIES = (1.0, 0.5, 0.2, 0.1)
 class Group:
     """Neighbouring g points of a band that become a node."""
 
-    band: int
-    points: slice
+    points: slice  # Among all
     depth: float
 
 
@@ -56,14 +55,19 @@ class Lit:
         cold, warm = (tables.radiance(column.temperature + more).T[band] for more in (0.0, CONTRAST_K))
         return cls(100.0 * tables.absorption(*at) * column.dry, share, share * cold, share * warm)
 
-    def part(self, points: NDArray[np.intp] | slice) -> "Lit":
+    @property
+    def kelvin(self) -> float:
+        """Kelvin of a blackbody for a radiance, at the ground."""
+        return CONTRAST_K / float((self.warmer[:, 0] - self.planck[:, 0]).sum())
+
+    def part(self, points: slice) -> "Lit":
         """Return that of some points."""
         return Lit(self.absorption[points], self.share[points], self.planck[points], self.warmer[points])
 
-    def merged(self, groups: Sequence[tuple[slice, float]]) -> "Lit":
-        """Return that of nodes: (points, optical depth) each."""
-        absorption = [_merged(self.absorption[own], self.share[own], depth) for own, depth in groups]
-        sums = [[each[own].sum(axis=0) for own, _ in groups] for each in (self.share, self.planck, self.warmer)]
+    def merged(self, groups: Sequence[Group]) -> "Lit":
+        """Return that of nodes."""
+        absorption = [_merged(self.absorption[one.points], self.share[one.points], one.depth) for one in groups]
+        sums = [[each[one.points].sum(axis=0) for one in groups] for each in (self.share, self.planck, self.warmer)]
         return Lit(np.array(absorption), *map(np.array, sums))
 
     def seen(self, paths: Paths, skies: Sequence[float]) -> Floats:
@@ -94,25 +98,16 @@ class Lit:
 
 
 def chosen(every: Sequence[Lit], band_of: NDArray[np.intp], most: int) -> list[Group]:
-    """Return the groups of `most` nodes for all columns at once; `band_of` (G,) counts the bands of points from 0."""
-    errors = []
-    for band in range(band_of.max() + 1):
-        points = np.flatnonzero(band_of == band)
-        errors.append(np.concatenate([_errors(lit, points) for lit in every], axis=-1))
-    cuts = _alone(errors, most)
-    return _together(errors, cuts)
+    """Return the groups of `most` nodes for all columns at once; `band_of` (G,) are the bands of points, rising."""
+    starts = np.unique(band_of, return_index=True)[1].tolist()
+    bands = [slice(first, end) for first, end in pairwise([*starts, len(band_of)])]
+    errors = [np.concatenate([_errors(lit, band) for lit in every], axis=-1) for band in bands]
+    return _together(errors, _alone(errors, most), starts)
 
 
-def judged(lit: Lit, groups: Sequence[Group], starts: Sequence[int], paths: Paths, skies: Sequence[float]) -> Floats:
-    """Return errors of apparent temperature of targets and of skies, (tests,) [K], by the slope at the ground's air.
-
-    `starts` are the numbers of the first points of the bands.
-    """
-    own = [(slice(starts[each.band] + each.points.start, starts[each.band] + each.points.stop), each.depth)
-           for each in groups]  # fmt: skip
-    off = lit.merged(own).seen(paths, skies).sum(axis=1) - lit.seen(paths, skies).sum(axis=1)
-    found: Floats = off * CONTRAST_K / (lit.warmer[:, 0] - lit.planck[:, 0]).sum()
-    return found
+def judged(lit: Lit, groups: Sequence[Group], paths: Paths, skies: Sequence[float]) -> Floats:
+    """Return errors of apparent temperature of targets and of skies, (tests,) [K], by the slope at the ground's air."""
+    return (lit.merged(groups).seen(paths, skies).sum(axis=1) - lit.seen(paths, skies).sum(axis=1)) * lit.kelvin
 
 
 def _level(altitude_m: float) -> int:
@@ -128,16 +123,16 @@ def _merged(absorption: Floats, share: Floats, depth: float) -> Floats:
     return found
 
 
-def _errors(lit: Lit, points: NDArray[np.intp]) -> Floats:
+def _errors(lit: Lit, band: slice) -> Floats:
     """Errors of all groups of neighbours among a band's points in a column, (first, end, depth, tests) [K]."""
-    own, count = lit.part(points), len(points)
+    own, count = lit.part(band), band.stop - band.start
     pairs = [(first, end) for first in range(count) for end in range(first + 1, count + 1)]
     seen = own.seen(PATHS, SKIES)
     before = np.concatenate([np.zeros((len(seen), 1)), np.cumsum(seen, axis=1)], axis=1)
-    merged = own.merged([(slice(*pair), depth) for pair in pairs for depth in DEPTHS]).seen(PATHS, SKIES)
+    merged = own.merged([Group(slice(*pair), depth) for pair in pairs for depth in DEPTHS]).seen(PATHS, SKIES)
     true = np.stack([before[:, end] - before[:, first] for first, end in pairs], axis=1)
     off = merged.reshape(len(seen), len(pairs), len(DEPTHS)) - true[..., None]
-    off *= CONTRAST_K / (lit.warmer[:, 0] - lit.planck[:, 0]).sum()
+    off *= lit.kelvin
     off[len(PATHS) :] *= _SKY
     found = np.full((count, count + 1, len(DEPTHS), len(seen)), np.inf)
     for number, (first, end) in enumerate(pairs):
@@ -185,7 +180,7 @@ def _alone(errors: Sequence[Floats], most: int) -> list[list[int]]:
     return cuts
 
 
-def _together(errors: Sequence[Floats], cuts: list[list[int]]) -> list[Group]:
+def _together(errors: Sequence[Floats], cuts: list[list[int]], starts: Sequence[int]) -> list[Group]:
     """Groups after changes of one end or one optical depth at a time that lower the cost of the sum."""
     depth = [[int(np.square(off[first, end]).sum(axis=-1).argmin()) for first, end in pairwise(own)]
              for off, own in zip(errors, cuts, strict=True)]  # fmt: skip
@@ -219,5 +214,6 @@ def _together(errors: Sequence[Floats], cuts: list[list[int]]) -> list[Group]:
             own[k + 1], depth[band][k + 1] = end, other
         depth[band][k] = one
         total = total + off[own[k], own[k + 1], one]
-    return [Group(band, slice(first, end), DEPTHS[which]) for band, (own, chosen) in enumerate(zip(cuts, depth,
-            strict=True)) for (first, end), which in zip(pairwise(own), chosen, strict=True)]  # fmt: skip
+    return [Group(slice(start + first, start + end), DEPTHS[which])
+            for start, own, chosen in zip(starts, cuts, depth, strict=True)
+            for (first, end), which in zip(pairwise(own), chosen, strict=True)]  # fmt: skip

@@ -120,7 +120,7 @@ def test_a_virtual_mosaic_stands_for_its_files(rasters):
         (mosaic().replace("<VRTDataset", '<VRTDataset subClass="VRTWarpedDataset"'), "VRTWarpedDataset"),
         (mosaic().replace("ComplexSource", "KernelFilteredSource"), "has a KernelFilteredSource"),
         ("<!DOCTYPE a>" + mosaic(), "document type"),
-        ("<VRTDataset>", "is damaged"),
+        ("<VRTDataset>", "is not a VRT"),
         ("<VRTDataset/>", "names no raster"),
     ],
 )

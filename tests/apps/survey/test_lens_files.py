@@ -130,6 +130,7 @@ def test_wide_fisheyes_and_several_lenses_are_refused(tmp_path):
         ("a.json", "[]", "does not state cameras by name"),
         ("a.json", "{", "is not JSON"),
         ("a.xml", "<calibration>", "is not XML"),
+        ("a.xml", '<!DOCTYPE c [<!ENTITY a "aaaa">]><calibration><f>&a;</f></calibration>', "document type definition"),
         ("a.xml", "<document/>", "not a camera calibration of Metashape"),
         # PhotoScan's former form counts the principal point from the corner.
         ("a.xml", "<calibration><projection>frame</projection><fx>741</fx></calibration>", "focal length f"),

@@ -53,8 +53,7 @@ class Frames:
         scene = flight.scene
         # The scene's digest leaves out the weather where it gives the temperatures itself; maps and balances need it.
         weather = scene.weather_digest() if scene.spec.weather and scene.frame else None
-        scenes = [each.digest() if each.world is None else each.tiles_digest()
-                  for each in (scene, reference, learned) if each is not None]  # fmt: skip
+        scenes = [each.digest() for each in (scene, reference, learned) if each is not None]
         state = hashlib.blake2b(repr((scenes, scene.time, weather, settings, versions())).encode(), digest_size=8)
         for values in (flight.times, flight.poses):
             state.update(np.ascontiguousarray(values).tobytes())

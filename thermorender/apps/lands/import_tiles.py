@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -52,8 +53,10 @@ def import_tiles(elevation: Path, orthophoto: Path, folder: Path, settings: Impo
     with atomic_folder(folder) as part:
         for name, paths in given.items():
             (part / name).mkdir()
+            names = [path.name for path in paths]
+            ordered = names == sorted(names)
             for number, path in enumerate(paths):
-                _link(path, part / name, "" if paths == sorted(paths, key=lambda each: each.name) else f"{number:05d}_")
+                _link(path, part / name, "" if ordered else f"{number:05d}_")
         if settings.weather is not None:
             shutil.copyfile(settings.weather, part / weather_name(settings.weather))
         write_text(part / "scene.toml", toml_text(tables, f"Made from {elevation} and {orthophoto}."))
@@ -84,10 +87,9 @@ def _given(path: Path) -> list[Path]:
     unread = [each for each in found if each.suffix.lower() not in FORMATS]
     if unread:
         raise ThermorenderError(f"{unread[0]} is not a raster that is read: give {', '.join(FORMATS)}, or convert it")
-    names = [each.name for each in found]
-    for each in found:
-        if names.count(each.name) > 1:
-            raise ThermorenderError(f"{path} has two rasters called {each.name}; rename one, and make the mosaic again")
+    twice = [name for name, count in Counter(each.name for each in found).items() if count > 1]
+    if twice:
+        raise ThermorenderError(f"{path} has two rasters called {twice[0]}; rename one, and make the mosaic again")
     return found
 
 

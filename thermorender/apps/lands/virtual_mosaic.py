@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.formats import read_text
+from thermorender.formats import xml_root
 from thermorender.scene.raster import FORMATS, opened
 
 # Elements of a source that leave its values as they are.
@@ -23,16 +23,14 @@ _TYPES = {"uint8": "Byte", "int8": "Int8", "uint16": "UInt16", "int16": "Int16",
 
 def files_of_mosaic(path: Path) -> list[Path]:
     """Return the rasters of a virtual mosaic, in its order; refuse one that says more than where they lie."""
-    text = read_text(path, "a VRT in UTF-8")
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        _refuse(path, "holds a document type definition")
     from rasterio.errors import CRSError
 
+    root = xml_root(path, "a VRT", "make the mosaic again")
     try:
-        return _files(path, ElementTree.fromstring(text))
+        return _files(path, root)
     except ThermorenderError:
         raise
-    except (ElementTree.ParseError, CRSError, ValueError, LookupError, TypeError, ArithmeticError) as error:
+    except (CRSError, ValueError, LookupError, ArithmeticError) as error:
         _refuse(path, f"is damaged ({error})")
 
 

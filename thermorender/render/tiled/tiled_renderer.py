@@ -71,7 +71,7 @@ class TiledRenderer(Renderer):
         super().__init__(scene, quality, samples, taps, edge_mk, rays, tolerance_mk, seed, device, progress)
         self.world, sampling = scene.world, self.plan.sampling
         self.plan = make_plan(_wider(self.scene), sampling)
-        key = (VERSION, scene.tiles_digest(), sampling, rows, self._geometry.mi.variant(), versions())
+        key = (VERSION, scene.digest(), sampling, rows, self._geometry.mi.variant(), versions())
         self.store = TileStore(repr(key))
         self.squares = Squares(self.scene, self.plan, rows)
         self.loader = TileLoader(self.store, self.squares, self._progress)

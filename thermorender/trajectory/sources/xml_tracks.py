@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.formats import read_text
+from thermorender.formats import xml_root
 from thermorender.trajectory.column_mapping import ANGLES, UNSTATED
 from thermorender.trajectory.tables import Table
 
@@ -156,16 +156,7 @@ def _name(node: ElementTree.Element) -> str:
 
 
 def _root(path: str, kind: str) -> ElementTree.Element:
-    text = read_text(path, f"{kind.upper()} in UTF-8")
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise ThermorenderError(
-            f"{path} holds a document type definition (<!DOCTYPE …>), which {kind.upper()} does not need and which is "
-            "not read; delete it"
-        )
-    try:
-        root = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise ThermorenderError(f"{path} is not {kind.upper()} ({error}); export it again") from error
+    root = xml_root(path, kind.upper(), "export it again")
     if _name(root) != kind:
         raise ThermorenderError(f"{path} is not {kind.upper()}: its outermost element is {_name(root)!r}; check format")
     return root

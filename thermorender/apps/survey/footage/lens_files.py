@@ -12,14 +12,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermorender import Camera
 from thermorender.errors import ThermorenderError
-from thermorender.formats import finite_json, read_text
+from thermorender.formats import finite_json, read_text, xml_root
 from thermorender.sensor.camera import MOST_PIXELS, edge_directions
 
 Floats = NDArray[np.float64]
@@ -174,11 +173,7 @@ def _metashape(path: Path) -> Lens:
 
 def _calibration(path: Path) -> tuple[str, dict[str, str | None]]:
     """(projection, {tag: text}) of Metashape's calibration of a frame or fisheye camera."""
-    written = read_text(path, "XML")
-    try:
-        root = ElementTree.fromstring(written)
-    except (ElementTree.ParseError, ValueError) as error:
-        raise ThermorenderError(f"{path} is not XML: {error}; give Metashape's calibration") from None
+    root = xml_root(path, "XML", "give Metashape's calibration")
     if root.tag != "calibration" or root.find("f") is None:
         raise ThermorenderError(
             f"{path} is not a camera calibration of Metashape with a focal length f; save one in Metashape's Camera "
