@@ -14,9 +14,11 @@ from tiled_support import CORNER, hills, write_in_one_piece, write_tiled
 
 import thermorender as tr
 from scenes import WEATHER, narrow, write_raster
+from thermorender.atmosphere.rays import EARTH_RADIUS_M
 from thermorender.cache import cache_folder
 from thermorender.errors import ThermorenderError
 from thermorender.output.flight import FlightOptions
+from thermorender.render.geometry import Geometry
 from thermorender.render.renderer import Renderer
 from thermorender.render.tiled import loading
 from thermorender.render.tiled.baked_tile import TileStore
@@ -24,11 +26,12 @@ from thermorender.render.tiled.cells import assembled
 from thermorender.render.tiled.squares import Squares
 from thermorender.render.tiled.texel_memory import TexelMemory
 from thermorender.render.tiled.tiled_renderer import TiledRenderer
+from thermorender.render.variant import activate
 from thermorender.scene import world as worlds
 from thermorender.scene.georeference import place_of
 from thermorender.scene.raster import Grid
 from thermorender.scene.sources import Classes, Colours, Heights, rasters_of
-from thermorender.scene.surface import FILLED
+from thermorender.scene.surface import FILLED, Surface
 from thermorender.scene.tile_grid import APRON, Tile
 from thermorender.trajectory.path import Trajectory
 
@@ -565,3 +568,17 @@ def test_gaps_in_the_heights_are_holes(tmp_path, monkeypatch, own_cache):
     assert 0.005 < hole.mean() < 0.3
     # The background's 285 K, not what lies under a skirt.
     assert abs(frame.apparent_temperature[hole].mean() - 285.0) < 0.5
+
+
+def test_the_lowest_ground_of_tiles_is_that_over_the_round_earth():
+    """Seen from far, the plane of the camera's frame is hundreds of metres above level ground."""
+    across = np.array([[-1e3, 0.0], [1e3, 0.0], [0.0, 1e3]]) + [9e4, 0.0]
+    points = np.column_stack([across, 300.0 - np.square(across).sum(axis=1) / (2.0 * EARTH_RADIUS_M)])
+    texel = np.zeros((2, 2))
+    tile = Surface(
+        name="terrain", vertices=points, faces=np.array([[0, 1, 2]], np.int32), uv=np.zeros((1, 3, 2), np.float32),
+        colour=np.zeros((2, 2, 3), np.uint8), material=texel.astype(np.uint16), temperature=texel + 290.0,
+        flags=texel.astype(np.uint8), texel_m=1.0, joined=True,
+    )  # fmt: skip
+    assert points[:, 2].min() < -250.0
+    assert Geometry(activate(), [tile]).low_m == pytest.approx(300.0, abs=1e-6)

@@ -352,9 +352,7 @@ class Geometry:
     @cached_property
     def low_m(self) -> float:
         """Lowest height of a surface, of far ground over a round Earth [m]."""
-        far = [float(surface.heights_m().min()) for surface in self.surfaces if surface.on_round_earth]
-        near = _box([surface for surface in self.surfaces if not surface.on_round_earth] or self.surfaces)
-        return min(float(near[0, 2]), *far, np.inf)
+        return min(float(surface.heights_m().min()) for surface in self.surfaces)
 
     def heights_m(self, points: NDArray[np.floating]) -> NDArray[np.floating]:
         """Return heights of points (n, 3), over a round Earth where there is far ground, (n,) [m]."""
