@@ -61,11 +61,9 @@ def test_the_air_at_the_station_is_that_of_the_weather():
         pressure_pa = 101325.0 * (1.0 - 2.2558e-5 * altitude_m) ** 5.2559
         found = from_weather(near(303.0, 900.0, pressure_pa), 35.0, altitude_m, JANUARY)
         assert found.air_temperature(altitude_m) == pytest.approx(303.0, abs=1e-9)
-        # Lines of water are its density times a power of pressure and temperature (`absorbers.BAND_MODELS`).
-        density = 900.0 / (461.5 * 303.0) * 1e3
-        level = int(np.argmin(np.abs(found.altitude_m - altitude_m)))
-        lines = density * (pressure_pa / 101325.0) ** 1.1406 * (273.15 / 303.0) ** -2.6343
-        assert found.density[0, level] == pytest.approx(lines, rel=2e-3)
+        column = found.column.at(np.array([altitude_m]))
+        assert column.pressure_pa[0] == pytest.approx(pressure_pa, rel=1e-9)
+        assert column.mixing["h2o"][0] == pytest.approx(900.0 / (pressure_pa - 900.0), rel=1e-9)
 
 
 def test_southern_seasons_are_opposite():

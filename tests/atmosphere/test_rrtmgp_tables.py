@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.io import netcdf_file
 
-from tools.rrtmgp import fluxes
-from tools.rrtmgp.gpoints import GPoints
+from tools.rrtmgp import files, fluxes
+from tools.rrtmgp.columns import LEVELS_M
 from tools.rrtmgp.merging import DEPTHS, Group, Lit, chosen, judged
 
 TEMPERATURE = np.arange(200.0, 321.0, 30.0)
@@ -58,7 +58,7 @@ def tables(tmp_path):
             file.createDimension(f"{name}_0", len(words))
             values = np.array([list(word.ljust(32)) for word in words], "S1")
             file.createVariable(name, "S1", (f"{name}_0", "letters"))[...] = values
-    return GPoints.read(path)
+    return files.read(path)
 
 
 def test_absorption_is_that_of_the_tables_between_their_points(tables):
@@ -93,12 +93,10 @@ def test_flux_of_isothermal_opaque_air_is_that_of_a_blackbody(tables):
 
 def lit(absorption):
     """Air of some absorption coefficients (G,), falling with height; warmer below."""
-    from tools.rrtmgp.columns import LEVELS_M
-
     fall = np.exp(-LEVELS_M / 6e3)
     planck = np.linspace(1.0, 2.0, len(absorption))[:, None] * (1.0 + 2.0 * fall) / len(absorption)
     share = np.broadcast_to(1.0 / len(absorption), planck.shape)
-    return Lit(np.outer(absorption, fall), share, planck, 1.3 * planck)
+    return Lit(np.outer(absorption, fall), share, planck, 1.3 * planck, np.stack([planck, 1.3 * planck]))
 
 
 def test_points_of_equal_absorption_are_merged_without_error():

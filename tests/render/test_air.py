@@ -208,7 +208,7 @@ def test_grey_sand_is_wrong_and_spectral_nodes_correct_it(tmp_path):
     seen = [float(renderer.frame(pose).apparent_temperature[256, 320]) for renderer in (true, wrong)]
     exact = brightness_temperature(ground_radiance(own.air, sand, 340.0, 1000.0, np.ones(1))[0], *BAND)
     assert abs(seen[0] - exact) < 0.01, (seen, exact)
-    assert abs(seen[1] - exact) > 0.3, (seen, exact)
+    assert abs(seen[1] - exact) > 0.1, (seen, exact)
     assert true.plan.nodes > wrong.plan.nodes
 
 

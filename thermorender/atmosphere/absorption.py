@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.atmosphere.absorbers import between, exponential
+from thermorender.atmosphere.air_column import between, exponential
 from thermorender.atmosphere.emission import ALTITUDE_M
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.profile import read_gases

@@ -21,18 +21,19 @@ def declared_air(
         return None
     given = {"cloud_fraction": spec.cloud_fraction, "cloud_base_m": spec.cloud_base_m}
     clouds = {"cloud_fraction": 0.0} | {name: value for name, value in given.items() if value is not None}
+    mixed = {"gases": spec.gases} | ({} if spec.year is None else {"year": spec.year})
     try:
         if spec.standard == "weather" and of_weather:
-            air = of_weather(aerosol=spec.aerosol, **given)
+            air = of_weather(aerosol=spec.aerosol, gases=spec.gases, **given)
         elif spec.file:
             air = Atmosphere.load(spec.file).clouded(**clouds)
         elif spec.absorption:
             air = from_absorption(spec.absorption, spec.profile, **clouds)
         elif spec.profile:
-            air = from_profile(spec.profile, spec.aerosol, spec.visibility_km, **clouds)
+            air = from_profile(spec.profile, spec.aerosol, spec.visibility_km, **clouds, **mixed)
         else:
             air = Atmosphere.standard(
-                spec.standard, spec.aerosol, spec.temperature_offset_k, spec.humidity_factor, **clouds
+                spec.standard, spec.aerosol, spec.temperature_offset_k, spec.humidity_factor, **clouds, **mixed
             )
         return air.in_band(*band_um)
     except ThermorenderError as error:

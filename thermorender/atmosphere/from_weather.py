@@ -5,12 +5,21 @@ ground. The long-wave irradiance of the sky sets the clouds, or without clouds t
 camera's band and the sky of the heat balance belong together.
 """
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.atmosphere.absorbers import exponential, saturation_g_m3, scaled_densities
+from thermorender.atmosphere.air_column import (
+    LAST_YEAR,
+    WATER,
+    AirColumn,
+    exponential,
+    saturation_g_m3,
+    water_mixing,
+    with_gases,
+)
 from thermorender.atmosphere.checks import check_within, name_index
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.table_files import read_table
@@ -54,12 +63,13 @@ class NearGround(NamedTuple):
 
 def from_weather(
     near: NearGround, latitude_deg: float, altitude_m: float, time: np.datetime64, aerosol: str = "none",
-    cloud_fraction: float | None = None, cloud_base_m: float | None = None,
+    cloud_fraction: float | None = None, cloud_base_m: float | None = None, gases: Mapping[str, float] | None = None,
 ) -> Atmosphere:  # fmt: skip
     """Return the Atmosphere of the weather near the ground, at a place and an instant, whose day chooses the season.
 
     `altitude_m` is the station's above sea level, `aerosol` as in `Atmosphere.standard`; `cloud_fraction` and
-    `cloud_base_m` replace those that the long-wave irradiance and the dew point suggest.
+    `cloud_base_m` replace those that the long-wave irradiance and the dew point suggest. Well-mixed gases are those of
+    the year, or `gases` as in `Atmosphere.standard`.
 
     Temperature: that of the climate plus the difference at the ground, which decays by 1/e in 4 km. Vapour: the
     climate's mixing ratio times one factor, up to saturation. Clouds: from the excess of the long-wave over a clear sky
@@ -69,39 +79,40 @@ def from_weather(
     table = read_table()
     haze = name_index("aerosol", aerosol, table["aerosol"])
     check_within("altitude_m", altitude_m, -500.0, 9000.0, "metres above sea level")
-    altitude, temperature, gas, nearest = _climate(table, latitude_deg, time)
+    altitude, temperature, climate, nearest = _climate(table, latitude_deg, time)
     ground = max(float(altitude_m), 0.0)
     levels = np.unique(np.concatenate([altitude, ground + np.array(_ABOVE_M)]))
     kelvin = np.interp(levels, altitude, temperature)
     above = np.maximum(levels - ground, 0.0)
     kelvin += (near.air_k - np.interp(ground, altitude, temperature)) * np.exp(-above / _DECAY_M)
-    pressure = _pressure(levels, kelvin, ground, near.pressure_pa / 100.0)
-    # Mixing ratios of the climate: densities over that of the air.
-    mixing = exponential(levels, altitude, gas)
-    gas = mixing * pressure / kelvin
+    pressure = _pressure(levels, kelvin, ground, near.pressure_pa)
+    mixing = dict(zip(table["gas"].tolist(), exponential(levels, altitude, climate), strict=True))
 
     cloud, column = _cloud_and_column(near)
     if cloud_fraction is not None:
         cloud, column = cloud_fraction, 1.0
-    vapour = 1e3 * near.vapour_pa / (461.5 * near.air_k)  # g m⁻³
-    at_ground = vapour / np.interp(ground, levels, gas[0])
+    measured = near.vapour_pa / (near.pressure_pa - near.vapour_pa)
+    at_ground = measured / np.interp(ground, levels, mixing[WATER])
     # The vapour measured near the ground is kept there; aloft, the column's factor applies as well.
     factor = at_ground * column ** (1.0 - np.exp(-above / 500.0))
-    gas[0] = np.minimum(gas[0] * factor, np.maximum(saturation_g_m3(kelvin), vapour * (above == 0.0)))
+    saturated = water_mixing(pressure, kelvin, saturation_g_m3(kelvin))
+    mixing[WATER] = np.minimum(mixing[WATER] * factor, np.maximum(saturated, measured * (above == 0.0)))
     if cloud_base_m is None:
         spread = near.air_k - float(dew_point(np.asarray(near.vapour_pa)))
         cloud_base_m = ground + max(_BASE_M_K * spread, _LOWEST_BASE_M)
-    extinction = exponential(levels, altitude, np.asarray(table["extinction"][nearest, haze], np.float64))
-    found = Atmosphere.of_table(
-        table, levels, kelvin, scaled_densities(pressure, kelvin, gas), extinction, table["aerosol_factor"][haze]
-    )
+    year = float(time.astype("datetime64[Y]").astype(int)) + 1970.0
+    made = AirColumn(levels, pressure, kelvin, with_gases(mixing, min(year, LAST_YEAR), gases))
+    extinction = None
+    if aerosol != "none":
+        extinction = exponential(levels, altitude, table["extinction"][nearest, haze].astype(np.float64))
+    found = Atmosphere.of_column(made, extinction=extinction)
     return found.clouded(float(cloud), float(min(cloud_base_m, 1.5e4)))
 
 
 def _climate(
-    table: dict[str, NDArray[np.float64]], latitude_deg: float, time: np.datetime64
+    table: dict[str, NDArray[Any]], latitude_deg: float, time: np.datetime64
 ) -> tuple[Floats, Floats, Floats, int]:
-    """(Altitudes [m], temperature [K], gases as density · T / p, index of the nearest standard atmosphere)."""
+    """(Altitudes [m], temperature [K], mixing ratios (gases, L), index of the nearest standard atmosphere)."""
     day = (time - time.astype("datetime64[Y]")) / np.timedelta64(1, "D")
     summer = 0.5 - 0.5 * np.cos(2.0 * np.pi * (day - _COLDEST_DAY) / _YEAR)
     if latitude_deg < 0.0:
@@ -111,19 +122,18 @@ def _climate(
     for names, season in ((_WINTER, 1.0 - summer), (_SUMMER, summer)):
         for number, name in enumerate(names):
             weights[name_index("standard", name, table["model"])] += season * max(1.0 - abs(polar - number), 0.0)
-    pressure, temperature, gas = (np.asarray(table[key], np.float64) for key in ("pressure_hpa", "temperature", "gas"))
-    ratio = gas * (temperature / pressure)[:, None]
+    temperature, ratio = (np.asarray(table[key], np.float64) for key in ("temperature", "mixing"))
     # Geometric mean, as vapour varies by orders of magnitude; a standard atmosphere may have none of a gas somewhere.
     mean = np.exp(np.tensordot(weights, np.log(np.maximum(ratio, 1e-30)), 1))
     mean[mean < 1e-25] = 0.0
     return np.asarray(table["altitude_m"], np.float64), weights @ temperature, mean, int(np.argmax(weights))
 
 
-def _pressure(levels: Floats, kelvin: Floats, ground_m: float, ground_hpa: float) -> Floats:
-    """Pressure [hPa] at levels in hydrostatic balance with that at the ground."""
+def _pressure(levels: Floats, kelvin: Floats, ground_m: float, ground_pa: float) -> Floats:
+    """Pressure [Pa] at levels in hydrostatic balance with that at the ground."""
     thickness = np.diff(levels) / (_SCALE_M_K * 0.5 * (kelvin[1:] + kelvin[:-1]))
     depth = np.concatenate([[0.0], np.cumsum(thickness)])
-    pressure: Floats = ground_hpa * np.exp(np.interp(ground_m, levels, depth) - depth)
+    pressure: Floats = ground_pa * np.exp(np.interp(ground_m, levels, depth) - depth)
     return pressure
 
 

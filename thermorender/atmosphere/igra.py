@@ -10,7 +10,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.atmosphere.absorbers import saturation_g_m3
+from thermorender.atmosphere.air_column import saturation_g_m3
 from thermorender.errors import ThermorenderError
 from thermorender.units import ZERO_CELSIUS_K
 

@@ -22,6 +22,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 
@@ -30,7 +31,8 @@ from numpy.typing import NDArray
 
 from thermorender import cache as kept
 from thermorender import formats
-from thermorender.atmosphere.model import REFERENCE_K
+from thermorender.atmosphere.air_column import AEROSOL_CM1
+from thermorender.atmosphere.nodes import REFERENCE_K
 from thermorender.errors import ThermorenderError
 
 Floats = NDArray[np.float64]
@@ -50,13 +52,10 @@ HAZES = {"none": 0, "rural": 1, "maritime": 4, "urban": 5}
 _COLD_BOUNDARY_K = 10.0
 # LOWTRAN's constants make 0.08 % less water of g/m³ in own levels than in its standard models.
 _WATER = 1.00082
-# Sub-bands [µm]. The edges are the limits of cameras' bands, those of LOWTRAN's band models (10 and 12 µm) and that
-# of ozone's band (9.2 µm).
-SUB_BANDS = ((7.0, 7.5), (7.5, 8.0), (8.0, 9.2), (9.2, 10.0), (10.0, 12.0), (12.0, 13.5), (13.5, 14.0), (14.0, 14.5))
 # Levels that are added to LOWTRAN's, where an aerosol regime fades into the next.
 EXTRA_LEVELS_M = (2250.0, 2500.0, 2750.0, 10500.0)
-# Limits [cm⁻¹] of 7.0–14.5 µm on LOWTRAN's grid of 5 cm⁻¹.
-FIRST, LAST, STEP = 685, 1430, 5
+# Limits [cm⁻¹] of the long-wave bands of the gases, on LOWTRAN's grid of 5 cm⁻¹.
+FIRST, LAST, STEP = 625, 1485, 5
 _COMPILING = threading.Lock()
 
 _MAIN = """\
@@ -101,7 +100,7 @@ class Levels:
 class Run:
     """What LOWTRAN computes for one path."""
 
-    # wavenumber, transmittance: (150,) float64 at 685 … 1430 cm⁻¹, every 5 cm⁻¹, resolution 20 cm⁻¹
+    # wavenumber, transmittance: (173,) float64 at 625 … 1485 cm⁻¹, every 5 cm⁻¹, resolution 20 cm⁻¹
     wavenumber: Floats
     transmittance: Floats
     amount: Floats  # (63,) float64 scaled absorber amounts along the path, in LOWTRAN's units and order
@@ -148,9 +147,9 @@ def spectrum(
     return Run(rows[:, 0], rows[:, 1], amount[0], profile)
 
 
-def spectral_weights(wavenumber: Floats, lower_um: float, upper_um: float, temperature: float = REFERENCE_K) -> Floats:
-    """Return weights (n,) that sum to 1: a spectrum's mean over a sub-band by Planck's law, linear between points."""
-    fine = np.linspace(1e4 / upper_um, 1e4 / lower_um, 801)
+def spectral_weights(wavenumber: Floats, low: float, high: float, temperature: float = REFERENCE_K) -> Floats:
+    """Return weights (n,) that sum to 1: a spectrum's mean between two wavenumbers [cm⁻¹] by Planck's law."""
+    fine = np.linspace(low, high, 801)
     share = np.gradient(fine) * fine**3 / np.expm1(1.438777 * fine / temperature)
     share[[0, -1]] *= 0.5
     index = np.clip(np.searchsorted(wavenumber, fine) - 1, 0, len(wavenumber) - 2)
@@ -161,11 +160,11 @@ def spectral_weights(wavenumber: Floats, lower_um: float, upper_um: float, tempe
 
 
 def extinction(air: Air, altitude_m: Floats) -> Floats:
-    """Return the mean extinction of an Air's aerosol in each sub-band, (sub-bands, L) [m⁻¹], at altitudes."""
-    result = np.zeros((len(SUB_BANDS), len(altitude_m)))
+    """Return the mean extinction of an Air's aerosol in each band of AEROSOL_CM1, (bands, L) [m⁻¹], at altitudes."""
+    result = np.zeros((len(AEROSOL_CM1) - 1, len(altitude_m)))
     if air.haze:
         grid = np.arange(FIRST, LAST + 1, STEP, dtype=np.float64)
-        means = np.stack([spectral_weights(grid, *band) for band in SUB_BANDS])
+        means = np.stack([spectral_weights(grid, *band) for band in pairwise(AEROSOL_CM1)])
         result[:] = np.stack([means @ aerosol_depth(air, altitude) for altitude in altitude_m], axis=1)
     return np.maximum(result, 0.0)
 

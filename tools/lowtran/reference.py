@@ -1,21 +1,20 @@
-"""Held-out lines of sight through LOWTRAN7, as band radiances: what the shipped atmospheres are judged by.
+"""Lines of sight through LOWTRAN7, as band radiances: a second opinion on the shipped atmospheres.
 
-`python -m tools.lowtran` writes them beside its table. Their altitudes and angles are random and no
-part of the fit.
+`python -m tools.lowtran` writes them beside its table. Their altitudes and angles are random.
 """
 
 import numpy as np
 
-from thermorender.atmosphere import absorbers, lowtran
+from thermorender.atmosphere import air_column, lowtran
 from thermorender.files import atomic
 from thermorender.physics.planck import spectral_radiance
 from tools.lowtran.spectra import (
     CAMERA_BANDS,
     CONTRAST_K,
-    gas_amounts,
     offset_air,
     run_all,
     standard_levels,
+    water_g_m3,
 )
 
 # LOWTRAN evaluates the water continuum at the mean temperature of a layer, which in its standard layers of 1 km is
@@ -29,11 +28,11 @@ def fine_air(levels, model, temperature_offset_k, humidity_factor, haze):
     altitude = 1e3 * np.array(_LEVELS_KM)
     fine = lowtran.Levels(
         altitude,
-        absorbers.exponential(altitude, levels.altitude_m, levels.pressure_hpa[None])[0],
+        air_column.exponential(altitude, levels.altitude_m, levels.pressure_hpa[None])[0],
         np.interp(altitude, levels.altitude_m, levels.temperature),
-        absorbers.exponential(altitude, levels.altitude_m, levels.density),
+        air_column.exponential(altitude, levels.altitude_m, levels.density),
     )
-    water = absorbers.exponential(altitude, levels.altitude_m, gas_amounts(levels)[:1])[0]
+    water = air_column.exponential(altitude, levels.altitude_m, water_g_m3(levels)[None])[0]
     return offset_air(fine, water, model, temperature_offset_k, humidity_factor, haze=haze)
 
 

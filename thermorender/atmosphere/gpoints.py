@@ -1,43 +1,48 @@
 """RRTMGP's k-distribution of the thermal infrared: absorption of air at each of its g points.
 
-Pincus, Mlawer and Delamere (2019), J. Adv. Model. Earth Syst. 11, 3074, doi:10.1029/2019MS001621. The data are files
-of netCDF (classic) such as `rrtmgp-gas-lw-g256.nc`, under BSD-3. A band has 16 g points. At each one the absorption by
-two key species is tabulated by temperature, pressure and their mixture η; further gases, and the self and foreign
-continuum of water, by temperature and η.
+Pincus, Mlawer and Delamere (2019), J. Adv. Model. Earth Syst. 11, 3074, doi:10.1029/2019MS001621. A band has 16 g
+points. At each one the absorption by two key species is tabulated by temperature, pressure and their mixture η; further
+gases, and the self and foreign continuum of water, by temperature and η. `python -m tools.rrtmgp` packs the tables of
+the package from the file `rrtmgp-gas-lw-g256.nc`, under BSD-3 (`gpoints.license`).
 """
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from os import PathLike
-from typing import Any, NamedTuple
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.atmosphere.air_column import WATER
+from thermorender.atmosphere.packed import unpacked
+
 Floats = NDArray[np.float64]
+# Bins of `GPoints.spectrum` [cm⁻¹]; the limits of bands are multiples of them.
+BIN_CM1 = 5.0
 # Key species of a band that has none are two of number 2.
-_NONE = (2, 2)
-WATER = "h2o"
+NO_KEY = (2, 2)
+_FILE = __file__.removesuffix("gpoints.py") + "gpoints.npz"
 
 
-class Place(NamedTuple):
+class TablePlace(NamedTuple):
     """Levels between points of the tables: index below and fraction of the way to the next."""
 
     temperature: tuple[NDArray[np.intp], Floats]
     pressure: tuple[NDArray[np.intp], Floats]
     upper: NDArray[np.bool_]  # Above the reference tropopause
 
-    def part(self, levels: NDArray[np.intp]) -> "Place":
+    def part(self, levels: NDArray[np.intp]) -> "TablePlace":
         """Return that of some levels."""
         row, up = ((index[levels], fraction[levels]) for index, fraction in (self.temperature, self.pressure))
-        return Place(row, up, self.upper[levels])
+        return TablePlace(row, up, self.upper[levels])
 
 
 class Mixed(NamedTuple):
     """Amount of both key species at levels, in molecules of dry air, and their mixture η in the tables."""
 
     amount: Floats
-    index: NDArray[np.intp]
+    below: NDArray[np.intp]
     fraction: Floats
 
 
@@ -71,43 +76,42 @@ class GPoints:
     minor: tuple[tuple[Minor, ...], tuple[Minor, ...]]  # Of the lower and the upper atmosphere
     planck_k: Floats  # (K,) temperatures of `planck`
     planck: Floats  # (B, K) radiance of a blackbody in each band [W m⁻² sr⁻¹]
+    # (K, G, bins) share of each g point's light at 285 K in bins of 5 cm⁻¹ from the first band on, where the decimal
+    # logarithm of water's mixing ratio is one of `spectrum_water` (K,).
+    spectrum: Floats
+    spectrum_water: Floats
+    groupings: tuple[tuple[tuple[slice, float], ...], ...] = ()  # From coarse to fine: (g points, depth) of each node
 
     @classmethod
-    def read(cls, path: str | PathLike[str]) -> "GPoints":
-        """Return the tables of a file."""
-        from scipy.io import netcdf_file
+    def shipped(cls) -> "GPoints":
+        """Return the tables of the package, read once."""
+        return _shipped()
 
-        with netcdf_file(path, mmap=False) as file:
-            data = {name: np.array(each.data) for name, each in file.variables.items()}
-        names = {name: _texts(values) for name, values in data.items() if values.dtype.kind == "S" and values.ndim == 2}
-        key = np.array(data["key_species"], np.intp)
-        key[(key == 0).all(axis=-1)] = _NONE
-        limits = data["bnd_limits_gpt"]
-        band_of = np.repeat(np.arange(len(limits)), limits[:, 1] - limits[:, 0] + 1)
-        gas_of = dict(zip(names["identifier_minor"], names["gas_minor"], strict=True))
-        minor = tuple(tuple(_minor(data, names, gas_of, part)) for part in ("lower", "upper"))
-        return cls(
-            tuple(names["gas_names"]), _floats(data["bnd_limits_wavenumber"]), band_of, _floats(data["press_ref"]),
-            _floats(data["temp_ref"]), float(data["press_ref_trop"]), key, _floats(data["vmr_ref"]),
-            _floats(data["kmajor"]), _floats(data["plank_fraction"]), (minor[0], minor[1]),
-            # Some editions of the files have 0 … 195 there.
-            160.0 + np.arange(data["totplnk"].shape[1]), _floats(data["totplnk"]),
-        )  # fmt: skip
+    def middles(self) -> Floats:
+        """Return the middle of each bin of `spectrum`, (bins,) [cm⁻¹]."""
+        return self.wavenumber[0, 0] + BIN_CM1 * (0.5 + np.arange(self.spectrum.shape[-1]))
+
+    def spectrum_at(self, water: float) -> Floats:
+        """Return where the light of each g point lies, (G, bins), at a mixing ratio of water."""
+        parts = knots(np.array([water]), self.spectrum_water)[0]
+        found: Floats = np.tensordot(parts, self.spectrum, 1)
+        return found
 
     def points(self, bands: slice) -> NDArray[np.intp]:
         """Return the numbers of the g points of some bands."""
         return np.flatnonzero(np.isin(self.band_of, np.arange(len(self.wavenumber))[bands]))
 
-    def place(self, pressure_pa: Floats, temperature: Floats) -> Place:
-        """Return where levels (L,) are in the tables; beyond their ends they are extrapolated."""
+    def place(self, pressure_pa: Floats, temperature: Floats) -> TablePlace:
+        """Return where levels (L,) are in the tables; beyond their ends they are at these."""
         step = np.diff(self.temperature)[0]
-        over = (temperature - self.temperature[0]) / step
-        first = np.clip(np.floor(over).astype(np.intp), 0, len(self.temperature) - 2)
+        over = np.clip((temperature - self.temperature[0]) / step, 0.0, len(self.temperature) - 1.0)
+        first = np.minimum(over.astype(np.intp), len(self.temperature) - 2)
+        pressure_pa = np.clip(pressure_pa, self.pressure[-1], self.pressure[0])
         high = np.log(pressure_pa / self.pressure[0]) / np.log(self.pressure[1] / self.pressure[0])
-        level = np.clip(np.floor(high).astype(np.intp), 0, len(self.pressure) - 2)
+        level = np.minimum(high.astype(np.intp), len(self.pressure) - 2)
         upper = pressure_pa <= self.tropopause_pa
         # The row of the tropopause is there twice, for the lower and for the upper atmosphere.
-        return Place((first, over - first), (level + upper, high - level), upper)
+        return TablePlace((first, over - first), (level + upper, high - level), upper)
 
     def absorption(
         self, pressure_pa: Floats, temperature: Floats, mixing: Mapping[str, Floats], bands: slice = slice(None)
@@ -155,9 +159,9 @@ class GPoints:
 
     def _walk(
         self, pressure_pa: Floats, temperature: Floats, mixing: Mapping[str, Floats], bands: slice
-    ) -> Iterator[tuple[tuple[NDArray[np.intp], ...], slice, int, Place, list[Mixed]]]:
-        """Yield (rows and levels, numbers of the g points, part of the atmosphere, Place, Mixed below and above) of
-        each band in the lower (0) and in the upper (1) atmosphere."""
+    ) -> Iterator[tuple[tuple[NDArray[np.intp], ...], slice, int, TablePlace, list[Mixed]]]:
+        """Yield (rows and levels, numbers of the g points, part of the atmosphere, place, keys below and above) of each
+        band in the lower (0) and in the upper (1) atmosphere."""
         place, chosen = self.place(pressure_pa, temperature), self.points(bands)
         for band in np.unique(self.band_of[chosen]):
             rows, points = np.flatnonzero(self.band_of[chosen] == band), np.flatnonzero(self.band_of == band)
@@ -187,7 +191,7 @@ class GPoints:
         given = mixing.get(self.gases[number - 1])
         return np.zeros(len(levels)) if given is None else given[levels]
 
-    def _major(self, table: Floats, points: slice, place: Place, mixed: list[Mixed]) -> Floats:
+    def _major(self, table: Floats, points: slice, place: TablePlace, mixed: list[Mixed]) -> Floats:
         """Values (L, g) of a table (T, P + 1, η, G), times the amounts of the key species."""
         row, up = place.pressure
         part = table[..., points]
@@ -198,7 +202,15 @@ class GPoints:
         return found
 
 
-def _corners(place: Place, mixed: list[Mixed]) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats]]:
+def knots(water: Floats, knot: Floats) -> Floats:
+    """Return shares (n, K) of knots in mixing ratios (n,): linear in their logarithm, constant beyond the ends."""
+    logs = np.log10(np.maximum(water, 1e-30))
+    return np.stack([np.interp(logs, knot, unit) for unit in np.eye(len(knot))], axis=-1)
+
+
+def _corners(
+    place: TablePlace, mixed: list[Mixed]
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats]]:
     """Yield (row of the temperatures, index of η, weight, amount) of the four points around levels."""
     first, warm = place.temperature
     for more, (amount, index, fraction) in enumerate(mixed):
@@ -206,7 +218,7 @@ def _corners(place: Place, mixed: list[Mixed]) -> Iterator[tuple[NDArray[np.intp
             yield first + more, index + further, (warm if more else 1.0 - warm) * share, amount
 
 
-def _minor_at(section: Floats, place: Place, mixed: list[Mixed]) -> Floats:
+def _minor_at(section: Floats, place: TablePlace, mixed: list[Mixed]) -> Floats:
     """Cross sections (L, g) of a minor gas."""
     found = np.zeros((len(place.upper), section.shape[-1]))
     for first, index, weight, _ in _corners(place, mixed):
@@ -214,23 +226,32 @@ def _minor_at(section: Floats, place: Place, mixed: list[Mixed]) -> Floats:
     return found
 
 
-def _minor(
-    data: Mapping[str, NDArray[Any]], names: Mapping[str, list[str]], gas_of: Mapping[str, str], part: str
-) -> Iterator[Minor]:
-    for number, kind in enumerate(names[f"minor_gases_{part}"]):
-        first, last = data[f"minor_limits_gpt_{part}"][number]
-        start = int(data[f"kminor_start_{part}"][number]) - 1
-        yield Minor(
-            gas_of[kind], kind, slice(int(first) - 1, int(last)),
-            _floats(data[f"kminor_{part}"][..., start : start + int(last - first) + 1]),
-            bool(data[f"minor_scales_with_density_{part}"][number]), names[f"scaling_gas_{part}"][number],
-            bool(data[f"scale_by_complement_{part}"][number]),
-        )  # fmt: skip
-
-
-def _texts(values: NDArray[Any]) -> list[str]:
-    return [b"".join(row).decode("ascii").strip() for row in values]
-
-
-def _floats(values: NDArray[Any]) -> Floats:
-    return np.array(values, np.float64)
+@cache
+def _shipped() -> GPoints:
+    with open(_FILE, "rb") as file, np.load(file, allow_pickle=False) as stored:
+        data = {name: stored[name] for name in stored.files}
+    gases = tuple(data["gases"].tolist())
+    groups = list(zip(data["group"].tolist(), data["depth"].tolist(), strict=True))
+    sections = unpacked(data["minor"], data["minor_scale"])
+    minor: tuple[list[Minor], list[Minor]] = ([], [])
+    start = 0
+    for name, (upper, first, last, with_density, scaled, complement) in zip(
+        data["minor_kind"].tolist(), data["minor_of"].tolist(), strict=True
+    ):
+        end = start + last - first
+        kind, gas = name.split("/")
+        by = "" if scaled < 0 else gases[scaled]
+        minor[upper].append(
+            Minor(gas, kind, slice(first, last), sections[..., start:end], bool(with_density), by, bool(complement))
+        )
+        start = end
+    return GPoints(
+        gases, data["wavenumber"], data["band_of"], data["pressure"], data["temperature"],
+        float(data["tropopause_pa"]), data["key"], data["ratio"], unpacked(data["major"], data["major_scale"]),
+        unpacked(data["share"], data["share_scale"]), (tuple(minor[0]), tuple(minor[1])), data["planck_k"],
+        data["planck"], data["spectrum"].astype(np.float64), data["spectrum_water"],
+        tuple(
+            tuple((slice(*ends), depth) for (of, *ends), depth in groups if of == k)
+            for k in range(1 + int(data["group"][:, 0].max()))
+        ),
+    )  # fmt: skip
