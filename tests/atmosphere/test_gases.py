@@ -82,7 +82,8 @@ def test_lowtran_differs_as_stated():
         off.append(1e3 * (kelvin[0] - kelvin[1]))
     assert len(off) == 24
     # 282 mK in the median: much more than the nodes' own error.
-    assert np.median(np.abs(off)) == pytest.approx(282.0, abs=2.0) and np.abs(off).max() == pytest.approx(1543.0, abs=5.0)
+    assert np.median(np.abs(off)) == pytest.approx(282.0, abs=2.0)
+    assert np.abs(off).max() == pytest.approx(1543.0, abs=5.0)
 
 
 def test_packed_numbers_come_back():
