@@ -18,6 +18,7 @@ from thermorender.atmosphere.packed import packed, unpacked
 from thermorender.atmosphere.rays import EARTH_RADIUS_M
 from thermorender.atmosphere.standards import standard_column
 from thermorender.atmosphere.table_files import read_table
+from thermorender.atmosphere.uncertainty import CONTINUUM, seen_change
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature
 
@@ -183,3 +184,30 @@ def test_dry_cold_and_thin_columns_are_finite():
         sky = air.sky_radiance(0.0, 0.3)
         assert np.isfinite(sky).all() and (sky >= 0.0).all()
         assert sky.sum() <= air.planck(kelvin).sum() * (1.0 + 1e-12)
+
+
+def test_uncertainty_is_that_of_the_continuum_and_of_what_the_air_changes():
+    air = Atmosphere.standard("tropical").in_band(7.5, 13.5)
+    path, target = (0.0, 0.0, 2000.0), 320.0
+    found = seen_change(air, *path, target)
+    tables = GPoints.shipped()
+    through, added = air.path(*path)
+    seen = (through * air.planck(target) + added).sum()
+    square = (0.005 * (seen - air.planck(target).sum())) ** 2
+    for kind, more in CONTINUUM.items():
+        minor = [
+            tuple(replace(one, cross_section=one.cross_section * (1.0 + more * (one.kind == kind))) for one in part)
+            for part in tables.minor
+        ]
+        wetter = Atmosphere.of_column(air.column, (7.5, 13.5), tables=replace(tables, minor=tuple(minor)))
+        through, added = wetter.path(*path)
+        square += ((through * wetter.planck(target) + added).sum() - seen) ** 2
+    assert found == pytest.approx(np.sqrt(square), rel=1e-9)
+    # A tenth of the change that tropical air makes, at most; none where target and air are equally warm.
+    assert 0.01 * abs(seen - air.planck(target).sum()) < found < 0.1 * abs(seen - air.planck(target).sum())
+    same = replace(air, temperature=np.full_like(air.temperature, target))
+    assert seen_change(same, *path, target) is None
+    dry = Atmosphere.standard("tropical", humidity_factor=0.0).in_band(7.5, 13.5)
+    through, added = dry.path(*path)
+    change = (through * dry.planck(target) + added).sum() - dry.planck(target).sum()
+    assert seen_change(dry, *path, target) == pytest.approx(0.005 * abs(change), rel=1e-6)

@@ -226,7 +226,12 @@ def test_plan_states_the_effects_of_air(tmp_path):
     night = tr.load_scene(write(tmp_path / "night", plane(10.0), extra=sunny.replace("40", "-5")))
     assert not make_plan(night).sun
     frame = tr.Renderer(scene).frame(tr.pose(0, 0, 5, **DOWN))
-    assert {"nodes", "bake", "sampling", "air", "total", "image"} == set(frame.budget_mk)
+    assert {"nodes", "bake", "sampling", "air", "total", "image", "gases"} == set(frame.budget_mk)
+    # From 5 m less than from 500 m, and none of it in the total.
+    higher = tr.Renderer(scene).frame(tr.pose(0, 0, 500, **DOWN)).budget_mk
+    assert 0.0 < frame.budget_mk["gases"] < 0.2 * higher["gases"] < 100.0
+    parts = ("nodes", "bake", "sampling", "air")
+    assert higher["total"] == pytest.approx(np.sqrt(sum(higher[name] ** 2 for name in parts)))
     without = tr.load_scene(write_mesh(tmp_path / "without", plane(10.0)))
     assert make_plan(without).spectrum.channels == 1 and make_plan(without).air_mk is None
 

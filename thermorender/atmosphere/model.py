@@ -280,6 +280,13 @@ class Atmosphere:
                 "are modelled from below only: stay below them, raise cloud_base_m or set cloud_fraction to 0"
             )
 
+    def with_tables(self, change: Callable[[GPoints], GPoints]) -> "Atmosphere":
+        """Return this air of a column with changed tables of the gases, in the same band and with the same nodes."""
+        assert self._source is not None
+        column, extinction, tables = self._source
+        band = float(self.lower_um.min()), float(self.upper_um.max())
+        return self.of_column(column, band, extinction, change(tables)).clouded(self.cloud_fraction, self.cloud_base_m)
+
     @property
     def column(self) -> AirColumn | None:
         """Pressure, temperature and gases that the air follows from; None for that of a file or of other arrays."""

@@ -243,7 +243,8 @@ class Frame:
         chain, which is left out. "preview": of a preview of an edit, what it leaves out. "total". "image": the total
         over all pixels; sky and surroundings only have an error of sampling. These are estimates; only that of the
         solution is a bound, and an object that no ray hits is not in them. With a learned emissivity, "emissivity" is
-        its standard deviation under the unobstructed sky; it is a property of the scene, so the total leaves it out.
+        its standard deviation under the unobstructed sky; with air, "gases" is what is not known of its absorption
+        between camera and surfaces. Both are properties of the scene, so the total leaves them out.
         None for a frame of the reference engine, whose error is its noise. Most frames of a flight have the budget of
         the frame `budget_frame`.
         """

@@ -19,8 +19,11 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.atmosphere.rays import TOP_M
+from thermorender.atmosphere.uncertainty import seen_change
 from thermorender.materials.mixture import Mixture
-from thermorender.physics.planck import band_radiance
+from thermorender.physics.planck import band_radiance, brightness_temperature
+from thermorender.render.air import altitude
 from thermorender.render.arrays import Floats, Jit, aligned, view_ray
 from thermorender.render.dynamic import ObjectState
 from thermorender.render.geometry import Geometry
@@ -35,6 +38,9 @@ from thermorender.render.sobol import sobol
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.render.truth import truth
 
+# Pixels at which the uncertainty of the air's absorption is taken; targets behind air that passes less than this share
+# are as warm as the scene in the mean.
+_AIRED, _LEAST_PASSED = 256, 0.1
 # The light's error is read at every n-th pixel.
 _PIXELS = 16
 # (number of pixels rendered again, rays per pixel) among pixels of the first image, those of them close to refined
@@ -67,8 +73,8 @@ def budget_mk(
     sampling: SampledImage,
 ) -> dict[str, float]:  # fmt: skip
     """Return {cause: estimated root mean square error [mK]} of a frame over the pixels that show a surface. "image" is
-    the total over all pixels; sky and surroundings add sampling only. "emissivity", of a learned map, is not in the
-    total."""
+    the total over all pixels; sky and surroundings add sampling only. "emissivity", of a learned map, and "gases", of
+    the air's absorption, are not in the total: they are errors of what is declared, not of the rendering."""
     errors, shown = sampling_error(baked.plan, tracer, radiance, sampling) / baked.plan.radiance_per_mk, sampling.shown
     parts = _everywhere(baked)
     light, mirrored = _light(baked, tracer.rays, pose, states, _PIXELS)
@@ -80,6 +86,7 @@ def budget_mk(
     parts["sampling"] = _rms(errors[shown])
     total = float(np.sqrt(sum(value**2 for value in parts.values())))
     found = {**parts, "total": total, "image": _rms(np.where(shown, total, errors))}
+    found |= _gases(baked, tracer.rays, pose, states, radiance)
     if any(isinstance(material, Mixture) for material in baked.scene.materials):
         seen = truth(baked, tracer.rays, pose, states)
         found["emissivity"] = _rms(emissivity_mk(baked, seen))
@@ -100,6 +107,39 @@ def error_mk(
     square = light.reshape(radiance.shape) ** 2 + np.square(errors / baked.plan.radiance_per_mk, dtype=np.float64)
     square += sum(value**2 for value in _everywhere(baked).values())
     return np.sqrt(square).astype(np.float32)
+
+
+def _gases(
+    baked: LoadedLight, rays: CameraRays, pose: Floats, states: Sequence[ObjectState], radiance: NDArray[np.float32]
+) -> dict[str, float]:  # fmt: skip
+    """{"gases": standard uncertainty by the air's absorption [mK]} over some pixels; {} without air or for air whose
+    column is not known. Targets are blackbodies with the radiance that the pixel shows without the air between."""
+    scene, mi = baked.scene, baked.device.geometry.mi
+    if scene.air is None or scene.air.column is None:
+        return {}
+    numbers = _one_of(max(len(rays.order) // _AIRED, 1), len(rays.order))
+    slope = rays.slopes(0.5, 0.5, mi.UInt32(aligned(numbers, np.uint32)))
+    layers = baked.device.layers(pose, states)
+    hit, _, _ = first_hit(layers, lambda layer: view_ray(mi, *layer.view, *slope), lambda _: [dr.zeros(mi.Float)])
+    ray = view_ray(mi, *layers[0].view, *slope)
+    distance, point = np.array(hit.distance, np.float64), np.array(ray.o + hit.distance * ray.d, np.float64).T
+    seen = np.isfinite(distance)
+    if not seen.any():
+        return {"gases": 0.0}
+    band, radius = scene.camera.band_um, baked.geometry.radius_m
+    lowest, highest = scene.air.altitude_m[0], TOP_M
+    ends = [np.clip(altitude(each, scene.altitude_m, radius), lowest, highest) for each in (pose[:3, 3], point[seen])]
+    path = ends[0], ends[1], np.maximum(distance[seen], np.abs(ends[1] - ends[0]))
+    passed, added = scene.air.path(*path)
+    black = scene.air.planck(REFERENCE_K)
+    share = passed @ black / black.sum()
+    shown = radiance.reshape(-1)[rays.order[numbers]][seen] - added.sum(axis=-1)
+    middle = float(np.mean([baked.plan.coldest, baked.plan.warmest]))
+    known = (share > _LEAST_PASSED) & (shown > 0.0)
+    kelvin = np.full(len(share), middle)
+    kelvin[known] = brightness_temperature(shown[known] / share[known], *band)
+    change = seen_change(scene.air, *path, kelvin)
+    return {} if change is None else {"gases": _rms(change / baked.plan.radiance_per_mk)}
 
 
 def emissivity_mk(baked: LoadedLight, images: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
