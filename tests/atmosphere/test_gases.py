@@ -157,7 +157,7 @@ def test_stated_gases_replace_those_of_the_year_and_keep_their_profile():
     with pytest.raises(ThermorenderError, match=words):
         Atmosphere.standard(gases={"co2": 500.0})
     with pytest.raises(ThermorenderError, match="gases has the key 'xenon_ppm'; give one of co2_ppm"):
-        Atmosphere.standard(gases={"co2_ppb": 5e5, "xenon_ppm": 1.0})
+        Atmosphere.standard(gases={"co2_ppm": 500.0, "xenon_ppm": 1.0})
     with pytest.raises(ThermorenderError, match=r"gases.co2_ppm=-1 is out of range"):
         Atmosphere.standard(gases={"co2_ppm": -1.0})
 
@@ -211,3 +211,85 @@ def test_uncertainty_is_that_of_the_continuum_and_of_what_the_air_changes():
     through, added = dry.path(*path)
     change = (through * dry.planck(target) + added).sum() - dry.planck(target).sum()
     assert seen_change(dry, *path, target) == pytest.approx(0.005 * abs(change), rel=1e-6)
+
+
+def test_a_saved_atmosphere_keeps_its_column(tmp_path):
+    whole = Atmosphere.standard("tropical", "rural-5km", 3.0, 1.5, 0.3, 1500.0)
+    whole.save(tmp_path / "air.npz")
+    found, wanted = (each.in_band(8.0, 14.0) for each in (Atmosphere.load(tmp_path / "air.npz"), whole))
+    assert np.array_equal(found.density, wanted.density) and np.array_equal(found.weight, wanted.weight)
+    assert found.cloud_fraction == 0.3 and found.column.mixing.keys() == whole.column.mixing.keys()
+    # The band that was saved comes back as it is.
+    wanted.save(tmp_path / "band.npz")
+    again = Atmosphere.load(tmp_path / "band.npz")
+    assert again.in_band(8.0, 14.0) is again
+    with np.load(tmp_path / "air.npz") as stored:
+        values = dict(stored)
+    for name, change, words in (
+        ("gas", lambda v: np.array(["xenon", *v[1:]]), "mixing has no h2o"),
+        ("gas", lambda v: np.array([*v[:-1], "xenon"]), "mixing has the gas 'xenon'; the tables know h2o,"),
+        ("mixing", lambda v: -v, "mixing of .* holds -.*; it must not be negative"),
+        ("mixing", lambda v: v[:, :-1], r"mixing is .* but column is .*; both have the axis K"),
+        ("column", lambda v: v[:2], r"column is \(2, 37\), but \(3, K\) is needed"),
+        ("column", lambda v: v * [[1.0], [0.01], [1.0]], "pressure_pa is 1013 at the lowest level; give pascals"),
+        ("extinction", lambda v: v[:3], r"extinction has the shape \(3, 37\); give \(17, 37\)"),
+        ("extinction", None, "it has no array extinction"),
+    ):
+        other = values | {name: change(values[name])} if change else {k: v for k, v in values.items() if k != name}
+        np.savez(tmp_path / "bad.npz", **other)
+        with pytest.raises(ThermorenderError, match=words) as caught:
+            Atmosphere.load(tmp_path / "bad.npz")
+        assert "bad.npz" in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"altitude_m": [0.0, 0.0, 1e4]}, "levels are out of order; altitude_m must rise and pressure_pa fall"),
+        ({"pressure_pa": [1e5, 1.1e5, 3e4]}, "levels are out of order"),
+        ({"temperature": [20.0, 10.0, -30.0]}, "temperature holds 20, not an air temperature in kelvin"),
+        ({"temperature": [290.0, np.nan, 240.0]}, "temperature holds nan; give finite numbers"),
+        ({"mixing": {"co2": [4e-4] * 3}}, "mixing has no h2o; give water vapour, at least zeros"),
+        ({"mixing": {"h2o": [1e-2, 1e-3]}}, r"mixing of h2o has the shape \(2,\); give as many numbers"),
+        ({"mixing": {"h2o": [1e-2, -1e-3, 0.0]}}, "mixing of h2o holds -0.001; it must not be negative"),
+    ],
+)
+def test_a_column_that_is_no_air_is_refused(change, words):
+    column = {"altitude_m": [0.0, 2e3, 1e4], "pressure_pa": [1e5, 8e4, 3e4], "temperature": [290.0, 280.0, 240.0],
+              "mixing": {"h2o": [1e-2, 1e-3, 1e-5]}}  # fmt: skip
+    assert Atmosphere.of_column(AirColumn(**column), (8.0, 12.0)).nodes
+    with pytest.raises(ThermorenderError, match=words):
+        AirColumn(**column | change)
+
+
+def test_a_column_cannot_be_changed_later():
+    air = Atmosphere.standard()
+    with pytest.raises(ValueError, match="read-only"):
+        air.column.mixing["co2"][:] *= 2.0
+
+
+def test_a_sounding_of_thousands_of_levels_is_air_as_that_of_every_tenth():
+    altitude = np.linspace(0.0, 3e4, 4801)
+    temperature, pressure = 300.0 - 6e-3 * np.minimum(altitude, 1.2e4), 1e5 * np.exp(-altitude / 8e3)
+    mixing = with_gases({"h2o": 1e-2 * np.exp(-altitude / 2e3), "o3": np.full(4801, 1e-7)})
+    fine = AirColumn(altitude, pressure, temperature, mixing)
+    coarse = fine.at(altitude[::10])
+    one, other = (Atmosphere.of_column(each, (7.5, 13.5)) for each in (fine, coarse))
+    assert len(one.altitude_m) < 600
+    seen = [air.path(2000.0, 0.0, 2500.0)[1].sum() for air in (one, other)]
+    assert 1e3 * abs(seen[0] - seen[1]) / band_radiance_derivative(290.0, 7.5, 13.5) < 5.0
+
+
+def test_bands_in_the_wrong_order_and_amounts_that_are_no_numbers_are_named():
+    air = Atmosphere.standard()
+    for band in ((14.0, 8.0), (9.0, 9.0), (np.nan, 9.0)):
+        with pytest.raises(ThermorenderError, match="µm is empty; give the shorter wavelength first"):
+            air.in_band(*band)
+    with pytest.raises(ThermorenderError, match="year is '2020'; give a number"):
+        Atmosphere.standard(year="2020")
+    with pytest.raises(ThermorenderError, match=r"gases.co2_ppm is '400'; give a number of ppm"):
+        Atmosphere.standard(gases={"co2_ppm": "400"})
+    with pytest.raises(ThermorenderError, match=r"gases.ch4_ppb=2e\+09 is out of range; give 0 … 1e\+09 \(ppb\)"):
+        Atmosphere.standard(gases={"ch4_ppb": 2e9})
+    # Whole metres are numbers too.
+    assert air.sky_temperature(0) == air.sky_temperature(0.0)

@@ -231,6 +231,9 @@ def test_plan_states_the_effects_of_air(tmp_path):
     higher = tr.Renderer(scene).frame(tr.pose(0, 0, 500, **DOWN)).budget_mk
     assert 0.0 < frame.budget_mk["gases"] < 0.2 * higher["gases"] < 100.0
     parts = ("nodes", "bake", "sampling", "air")
+    # Also where few pixels show the land.
+    far = tr.Renderer(scene).frame(tr.pose(0, 0, 3000, **DOWN)).budget_mk
+    assert far["gases"] > higher["gases"]
     assert higher["total"] == pytest.approx(np.sqrt(sum(higher[name] ** 2 for name in parts)))
     without = tr.load_scene(write_mesh(tmp_path / "without", plane(10.0)))
     assert make_plan(without).spectrum.channels == 1 and make_plan(without).air_mk is None

@@ -22,8 +22,10 @@ AEROSOL_CM1 = np.arange(630.0, 1481.0, 50.0)
 # Year of the gases where neither scene nor weather names one.
 YEAR = 2025
 # The table is extended by its last slope up to this year, and begins with its first.
-LAST_YEAR = 2040
+FIRST_YEAR, LAST_YEAR = 1750, 2040
 _UNITS = {"ppm": 1e-6, "ppb": 1e-9, "ppt": 1e-12}
+# All of the air.
+_MOST = {"ppm": 1e6, "ppb": 1e9, "ppt": 1e12}
 # Molecules in a gram of water, and metres³ per cm³ of a number density.
 _OF_WATER = 6.02214076e23 / 18.01528
 _TABLE = __file__.removesuffix("air_column.py") + "gases.csv"
@@ -37,6 +39,35 @@ class AirColumn:
     pressure_pa: Floats  # (L,)
     temperature: Floats  # (L,) [K]
     mixing: dict[str, Floats]  # {gas: (L,) molecules over those of dry air}
+
+    def __post_init__(self) -> None:
+        # Copies that nobody can change, as the nodes of another band follow from them later.
+        for name in ("altitude_m", "pressure_pa", "temperature"):
+            object.__setattr__(self, name, _fixed(getattr(self, name)))
+        object.__setattr__(self, "mixing", {gas: _fixed(values) for gas, values in self.mixing.items()})
+        wrong = self._wrong()
+        if wrong:
+            raise ThermorenderError(f"AirColumn: {wrong}")
+
+    def _wrong(self) -> str | None:
+        """The first fault, as a clause, or None."""
+        rows = {"altitude_m": self.altitude_m, "pressure_pa": self.pressure_pa, "temperature": self.temperature}
+        rows |= {f"mixing of {gas}": values for gas, values in self.mixing.items()}
+        for name, values in rows.items():
+            if values.shape != (len(self.altitude_m),):
+                return f"{name} has the shape {values.shape}; give as many numbers as altitude_m has"
+            if not np.isfinite(values).all():
+                return f"{name} holds {values[~np.isfinite(values)][0]:g}; give finite numbers"
+            if name not in ("altitude_m", "temperature") and (values < 0.0).any():
+                return f"{name} holds {values.min():g}; it must not be negative"
+        if WATER not in self.mixing:
+            return f"mixing has no {WATER}; give water vapour, at least zeros"
+        if (np.diff(self.altitude_m) <= 0.0).any() or (np.diff(self.pressure_pa) > 0.0).any():
+            return "levels are out of order; altitude_m must rise and pressure_pa fall from level to level"
+        odd = (self.temperature < 100.0) | (self.temperature > 1000.0)
+        if odd.any():
+            return f"temperature holds {self.temperature[odd][0]:g}, not an air temperature in kelvin (100 … 1000)"
+        return None
 
     @property
     def dry(self) -> Floats:
@@ -60,18 +91,23 @@ def with_gases(
     are left as they are. `others` are {"co2_ppm": 500.0, …}.
     """
     amounts = of_year(year)
+    known = [f"{gas}_{unit}" for gas, unit in _units().items()]
     for name, amount in (others or {}).items():
+        if name not in known:
+            raise ThermorenderError(f"gases has the key {name!r}; give one of {', '.join(known)}")
         gas, _, unit = name.rpartition("_")
-        if gas not in amounts or unit not in _UNITS:
-            known = ", ".join(f"{each}_{unit}" for each, unit in _units().items())
-            raise ThermorenderError(f"gases has the key {name!r}; give one of {known}")
-        check_within(f"gases.{name}", amount, 0.0, 1e6 * 1e-6 / _UNITS[unit], unit)
+        if isinstance(amount, bool) or not isinstance(amount, (int, float, np.number)):
+            raise ThermorenderError(f"gases.{name} is {amount!r}; give a number of {unit}")
+        check_within(f"gases.{name}", amount, 0.0, _MOST[unit], unit)
         amounts[gas] = amount * _UNITS[unit]
     levels = len(mixing[WATER])
     found = {}
     for gas in (*mixing, *(each for each in amounts if each not in mixing)):
         shape = mixing.get(gas, np.ones(levels))
-        found[gas] = shape * (amounts[gas] / shape[0]) if gas in amounts else shape
+        if gas in amounts:
+            shape = shape if shape[0] > 0.0 else np.ones(levels)
+            shape = shape * (amounts[gas] / shape[0])
+        found[gas] = shape
     return found
 
 
@@ -80,7 +116,9 @@ def of_year(year: float) -> dict[str, float]:
 
     Forster et al. (2025), doi:10.5194/essd-17-2641-2025; after 2024 by the slope of 2020 to 2024.
     """
-    check_within("year", year, 1750.0, LAST_YEAR, "of the gases")
+    if isinstance(year, bool) or not isinstance(year, (int, float, np.number)):
+        raise ThermorenderError(f"year is {year!r}; give a number")
+    check_within("year", year, FIRST_YEAR, LAST_YEAR, "of the gases")
     _, rows = _table()
     years = rows[:, 0]
     last = rows[-1] + (rows[-1] - rows[-2]) * (LAST_YEAR - years[-1]) / (years[-1] - years[-2])
@@ -101,6 +139,12 @@ def _table() -> tuple[list[str], Floats]:
 def _units() -> dict[str, str]:
     """{Gas: unit of its column}."""
     return {name.rpartition("_")[0]: name.rpartition("_")[2] for name in _table()[0][1:]}
+
+
+def _fixed(values: ArrayLike) -> Floats:
+    found = np.array(values, np.float64)
+    found.flags.writeable = False
+    return found
 
 
 def saturation_g_m3(temperature: ArrayLike) -> Floats:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.atmosphere.air_column import (
+    FIRST_YEAR,
     LAST_YEAR,
     WATER,
     AirColumn,
@@ -101,7 +102,7 @@ def from_weather(
         spread = near.air_k - float(dew_point(np.asarray(near.vapour_pa)))
         cloud_base_m = ground + max(_BASE_M_K * spread, _LOWEST_BASE_M)
     year = float(time.astype("datetime64[Y]").astype(int)) + 1970.0
-    made = AirColumn(levels, pressure, kelvin, with_gases(mixing, min(year, LAST_YEAR), gases))
+    made = AirColumn(levels, pressure, kelvin, with_gases(mixing, float(np.clip(year, FIRST_YEAR, LAST_YEAR)), gases))
     extinction = None
     if aerosol != "none":
         extinction = exponential(levels, altitude, table["extinction"][nearest, haze].astype(np.float64))

@@ -33,6 +33,9 @@ Floats = NDArray[np.float64]
 LOWEST_M, HIGHEST_CAMERA_M = -500.0, 3.0e4
 # Levels of a column beside its own: every eighth of those that paths are integrated on.
 LEVELS_M = ALTITUDE_M[::8]
+# Most levels of a column's own that count, and least pressure at its lowest level [Pa]: that of 9 km.
+_MOST_LEVELS, _LEAST_PA = 300, 3e4
+_HAZES = len(AEROSOL_CM1) - 1
 # Steps of a path in ln(3 km + altitude). A thousand steps change the light of tested paths by less than 10 mK.
 _STEP = 0.08
 # Paths per batch, so that intermediate values stay in the processor's cache.
@@ -180,11 +183,14 @@ class Atmosphere:
 
         Notes
         -----
-        `in_band` computes the nodes of another band from the column again. An atmosphere that `load` returns has no
-        column; its sub-bands are cut, as if each node's light were spread evenly over its sub-band.
+        `in_band` computes the nodes of another band from the column again, also of a saved atmosphere. The sub-bands of
+        air without a column are cut, as if each node's light were spread evenly over its sub-band.
         """
         tables = tables or GPoints.shipped()
-        levels = np.union1d(LEVELS_M[column.altitude_m[-1] > LEVELS_M], column.altitude_m)
+        _check_column(column, extinction, tables)
+        # Of a sounding in thousands of levels every few, and the last.
+        own = np.append(column.altitude_m[: -1 : 1 + len(column.altitude_m) // _MOST_LEVELS], column.altitude_m[-1])
+        levels = np.union1d(LEVELS_M[own[-1] > LEVELS_M], own)
         fine = column.at(levels)
         nodes = nodes_of(tables, fine, band_um)
         density = nodes.absorption
@@ -206,19 +212,33 @@ class Atmosphere:
         ThermorenderError
             The file is missing or not such a table, or one of its arrays is invalid.
         """
-        arrays, cloud = read_saved(path)
+        arrays, cloud, source = read_saved(path)
         values: dict[str, Any] = dict(arrays)
         try:
-            return cls(**values).clouded(*cloud)
+            found = cls(**values)
+            if source is not None:
+                (altitude, pressure, temperature), gas, mixing, extinction = source
+                column = AirColumn(altitude, pressure, temperature, dict(zip(gas, mixing, strict=True)))
+                tables = GPoints.shipped()
+                _check_column(column, extinction, tables)
+                object.__setattr__(found, "_source", (column, extinction if extinction.any() else None, tables))
+            return found.clouded(*cloud)
         except ThermorenderError as error:
             raise ThermorenderError(f"atmosphere {path}: {error}") from None
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the atmosphere to an .npz file of plain arrays."""
+        """Write the atmosphere to an .npz file of plain arrays, with its column where it has one."""
+        arrays: dict[str, Any] = {name: getattr(self, name) for name in NAMES}
+        if self._source is not None:
+            column, extinction, _ = self._source
+            arrays |= {
+                "column": np.stack([column.altitude_m, column.pressure_pa, column.temperature]),
+                "gas": np.array([*column.mixing]),
+                "mixing": np.stack([*column.mixing.values()]),
+                "extinction": np.zeros((_HAZES, len(column.altitude_m))) if extinction is None else extinction,
+            }
         with atomic(path) as part, open(part, "wb") as file:
-            np.savez_compressed(
-                file, **{name: getattr(self, name) for name in NAMES}, cloud=[self.cloud_fraction, self.cloud_base_m]
-            )
+            np.savez_compressed(file, **arrays, cloud=[self.cloud_fraction, self.cloud_base_m])
 
     def clouded(self, cloud_fraction: float, cloud_base_m: float = 2000.0) -> "Atmosphere":
         """Return this air with a cloud cover of 0 … 1 and a cloud base 0 … 15 km above sea level."""
@@ -238,6 +258,12 @@ class Atmosphere:
         ThermorenderError
             The table does not cover the band, or absorbs nothing in it.
         """
+        if not lower_um < upper_um:
+            raise ThermorenderError(
+                f"the camera's band {lower_um:g}–{upper_um:g} µm is empty; give the shorter wavelength first"
+            )
+        if (lower_um, upper_um) == (self.lower_um.min(), self.upper_um.max()):
+            return self._absorbing(self.absorption, lower_um, upper_um)
         if self._source is not None:
             column, extinction, tables = self._source
             found = self.of_column(column, (lower_um, upper_um), extinction, tables)
@@ -250,11 +276,7 @@ class Atmosphere:
             )
         kept = (self.upper_um > lower_um + 1e-9) & (self.lower_um < upper_um - 1e-9)
         absorption = self.absorption[kept]
-        if not (absorption @ self.density).any():
-            raise ThermorenderError(
-                f"the atmosphere absorbs nothing over {lower_um:g}–{upper_um:g} µm (absorption times density is 0), so "
-                "it has no sky; give the absorption of the gases, or [sky] with a temperature for a scene without air"
-            )
+        self._absorbing(absorption, lower_um, upper_um)
         used = (absorption > 0.0).any(axis=0)
         return replace(
             self,
@@ -273,12 +295,21 @@ class Atmosphere:
 
     def refuse_above_clouds(self, what: str, altitude_m: ArrayLike) -> None:
         """Refuse altitudes [m] above the cloud base; the message begins with `what`."""
-        highest = np.max(altitude_m, initial=-np.inf)
+        highest = np.max(np.asarray(altitude_m, np.float64), initial=-np.inf)
         if self.cloud_fraction and highest > self.cloud_base_m:
             raise ThermorenderError(
                 f"{what} is {highest:.7g} m above sea level, above the cloud base at {self.cloud_base_m:g} m; clouds "
                 "are modelled from below only: stay below them, raise cloud_base_m or set cloud_fraction to 0"
             )
+
+    def _absorbing(self, absorption: Floats, lower_um: float, upper_um: float) -> "Atmosphere":
+        """Return this atmosphere, or refuse one whose nodes absorb nothing."""
+        if not (absorption @ self.density).any():
+            raise ThermorenderError(
+                f"the atmosphere absorbs nothing over {lower_um:g}–{upper_um:g} µm (absorption times density is 0), so "
+                "it has no sky; give the absorption of the gases, or [sky] with a temperature for a scene without air"
+            )
+        return self
 
     def with_tables(self, change: Callable[[GPoints], GPoints]) -> "Atmosphere":
         """Return this air of a column with changed tables of the gases, in the same band and with the same nodes."""
@@ -465,6 +496,27 @@ class Atmosphere:
     def _sum(self, altitude: Floats, length: Floats) -> tuple[Floats, Floats]:
         """(transmittance, emission), each (P, N), along rays."""
         return emission(self._profile, self.absorption, altitude, length, amounts(self._profile, altitude, length))
+
+
+def _check_column(column: AirColumn, extinction: Floats | None, tables: GPoints) -> None:
+    """Refuse a column that is not one of air from the ground up."""
+    levels = len(column.altitude_m)
+    if levels < 2:
+        raise ThermorenderError(f"AirColumn has {levels} levels; give at least 2")
+    if column.pressure_pa[0] < _LEAST_PA:
+        raise ThermorenderError(
+            f"AirColumn: pressure_pa is {column.pressure_pa[0]:g} at the lowest level; give pascals, at least "
+            f"{_LEAST_PA:g} there"
+        )
+    other = [gas for gas in column.mixing if gas not in tables.gases]
+    if other:
+        raise ThermorenderError(
+            f"AirColumn: mixing has the gas {other[0]!r}; the tables know {', '.join(tables.gases)}"
+        )
+    if extinction is not None and np.shape(extinction) != (_HAZES, levels):
+        raise ThermorenderError(
+            f"extinction has the shape {np.shape(extinction)}; give ({_HAZES}, {levels}), bands and levels of aerosol"
+        )
 
 
 def _floats(values: ArrayLike) -> Floats:

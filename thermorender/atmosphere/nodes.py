@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 # Temperature of the nodes' weights and of the g points' spectra [K].
 REFERENCE_K = 285.0
-# Most nodes of a camera's band.
+# Most nodes of a camera's band, if a grouping has so few there; all bands have 26.
 MOST_NODES = 20
 # Share of a g point's light that is spread evenly over its band, so that no part of a band is without light.
 _EVEN = 1e-4
@@ -79,6 +79,9 @@ def nodes_of(tables: GPoints, column: AirColumn, band_um: tuple[float, float] | 
         weight = own.sum() * np.exp(C2 * tilt * (1.0 / column.temperature[0] - 1.0 / REFERENCE_K))
         rows.append((1e4 / ends[1], 1e4 / ends[0], weight, tilt, merged(absorption[part], own, depth), spectrum))
     lower, upper, weight, tilt, found, spectra = (np.array(each) for each in zip(*rows, strict=True))
+    if band_um is not None:
+        # Not their inverse's inverse.
+        lower[lower == lower.min()], upper[upper == upper.max()] = band_um
     for edge in np.unique(lower):
         weight[lower == edge] /= weight[lower == edge].sum()
     return Nodes(lower, upper, weight, tilt, found, spectra, middle)

@@ -17,6 +17,9 @@ _AXES = {
     "lower_um": "N", "upper_um": "N", "weight": "N", "tilt": "N", "altitude_m": "L", "temperature": "L",
     "density": "JL", "absorption": "NJ", "cloud": "2",
 }  # fmt: skip
+# Those of the column that an atmosphere follows from: levels K with altitude, pressure and temperature, gases M and
+# bands E of aerosols.
+_COLUMN = {"column": "3K", "gas": "M", "mixing": "MK", "extinction": "EK"}
 NAMES = tuple(name for name in _AXES if name != "cloud")
 # Range of thermal radiation [µm].
 _SHORTEST_UM, _LONGEST_UM = 0.1, 1e4
@@ -31,11 +34,21 @@ def read_table() -> Arrays:
         return {key: stored[key] for key in stored.files}
 
 
-def read_saved(path: str | PathLike[str]) -> tuple[Arrays, tuple[float, float]]:
-    """Return (arrays of an Atmosphere by name, (cloud fraction, cloud base [m])) of a file of `Atmosphere.save`."""
-    values = read_arrays(path, "atmosphere", _AXES, _first_wrong, "a file written by Atmosphere.save")
+def read_saved(
+    path: str | PathLike[str],
+) -> tuple[Arrays, tuple[float, float], tuple[NDArray[Any], list[str], NDArray[Any], NDArray[Any]] | None]:
+    """Return (arrays of an Atmosphere by name, (cloud fraction, cloud base [m]), column) of a file of
+    `Atmosphere.save`; the column is (altitude, pressure, temperature (3, K), names of gases, mixing, extinction)."""
+    give = "a file written by Atmosphere.save"
+    values = read_arrays(path, "atmosphere", _AXES, _first_wrong, give)
     cloud = values.pop("cloud")
-    return values, (float(cloud[0]), float(cloud[1]))
+    with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
+        known = any(name in stored.files for name in _COLUMN)
+    column = None
+    if known:
+        found = read_arrays(path, "atmosphere", _COLUMN, lambda _: None, give)
+        column = found["column"], found["gas"].tolist(), found["mixing"], found["extinction"]
+    return values, (float(cloud[0]), float(cloud[1])), column
 
 
 def read_arrays(
@@ -68,14 +81,15 @@ def read_arrays(
 
 def _misshapen(values: Mapping[str, NDArray[Any]], axes: Mapping[str, str]) -> str | None:
     """The fault of the first array of another type or shape, as a clause, or None."""
-    length: dict[str, tuple[int, str]] = {"2": (2, "")}
+    length: dict[str, tuple[int, str]] = {digit: (int(digit), "") for digit in "23"}
     for name, letters in axes.items():
         if name not in values:
             return f"it has no array {name}"
         value, text = values[name], name == "gas"
         if value.dtype.kind not in ("U" if text else "fiu"):
             return f"{name} is of type {value.dtype}, but {'text is' if text else 'real numbers are'} needed"
-        if value.ndim != len(letters) or (letters == "2" and len(value) != 2):
+        fixed = zip(value.shape, letters, strict=False)
+        if value.ndim != len(letters) or any(axis.isdigit() and size != int(axis) for size, axis in fixed):
             return f"{name} is {value.shape}, but {_shape(letters)} is needed"
         for size, axis in zip(value.shape, letters, strict=True):
             known, other = length.setdefault(axis, (size, name))

@@ -20,8 +20,6 @@ def standard_of_1986(number: int) -> AirColumn:
     """Return a standard atmosphere with its own gases, as LOWTRAN7 has them."""
     table = read_table()
     mixing = dict(zip(table["gas"].tolist(), np.float64(table["mixing"][number]), strict=True))
-    even = {"o2": 0.20946, "n2": 0.78084}
-    mixing |= {gas: np.full(len(table["altitude_m"]), share) for gas, share in even.items()}
     return AirColumn(
         np.float64(table["altitude_m"]), 100.0 * np.float64(table["pressure_hpa"][number]),
         np.float64(table["temperature"][number]), mixing,

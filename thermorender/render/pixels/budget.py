@@ -86,7 +86,7 @@ def budget_mk(
     parts["sampling"] = _rms(errors[shown])
     total = float(np.sqrt(sum(value**2 for value in parts.values())))
     found = {**parts, "total": total, "image": _rms(np.where(shown, total, errors))}
-    found |= _gases(baked, tracer.rays, pose, states, radiance)
+    found |= _gases(baked, tracer.rays, pose, states, radiance, shown)
     if any(isinstance(material, Mixture) for material in baked.scene.materials):
         seen = truth(baked, tracer.rays, pose, states)
         found["emissivity"] = _rms(emissivity_mk(baked, seen))
@@ -110,14 +110,18 @@ def error_mk(
 
 
 def _gases(
-    baked: LoadedLight, rays: CameraRays, pose: Floats, states: Sequence[ObjectState], radiance: NDArray[np.float32]
+    baked: LoadedLight, rays: CameraRays, pose: Floats, states: Sequence[ObjectState], radiance: NDArray[np.float32],
+    shown: NDArray[np.bool_],
 ) -> dict[str, float]:  # fmt: skip
     """{"gases": standard uncertainty by the air's absorption [mK]} over some pixels; {} without air or for air whose
     column is not known. Targets are blackbodies with the radiance that the pixel shows without the air between."""
     scene, mi = baked.scene, baked.device.geometry.mi
     if scene.air is None or scene.air.column is None:
         return {}
-    numbers = _one_of(max(len(rays.order) // _AIRED, 1), len(rays.order))
+    showing = np.flatnonzero(shown.reshape(-1)[rays.order])
+    if not len(showing):
+        return {}
+    numbers = showing[_one_of(max(len(showing) // _AIRED, 1), len(showing))].astype(np.uint32)
     slope = rays.slopes(0.5, 0.5, mi.UInt32(aligned(numbers, np.uint32)))
     layers = baked.device.layers(pose, states)
     hit, _, _ = first_hit(layers, lambda layer: view_ray(mi, *layer.view, *slope), lambda _: [dr.zeros(mi.Float)])
@@ -125,7 +129,7 @@ def _gases(
     distance, point = np.array(hit.distance, np.float64), np.array(ray.o + hit.distance * ray.d, np.float64).T
     seen = np.isfinite(distance)
     if not seen.any():
-        return {"gases": 0.0}
+        return {}
     band, radius = scene.camera.band_um, baked.geometry.radius_m
     lowest, highest = scene.air.altitude_m[0], TOP_M
     ends = [np.clip(altitude(each, scene.altitude_m, radius), lowest, highest) for each in (pose[:3, 3], point[seen])]
@@ -133,11 +137,11 @@ def _gases(
     passed, added = scene.air.path(*path)
     black = scene.air.planck(REFERENCE_K)
     share = passed @ black / black.sum()
-    shown = radiance.reshape(-1)[rays.order[numbers]][seen] - added.sum(axis=-1)
+    bare = radiance.reshape(-1)[rays.order[numbers]][seen] - added.sum(axis=-1)
     middle = float(np.mean([baked.plan.coldest, baked.plan.warmest]))
-    known = (share > _LEAST_PASSED) & (shown > 0.0)
+    known = (share > _LEAST_PASSED) & (bare > 0.0)
     kelvin = np.full(len(share), middle)
-    kelvin[known] = brightness_temperature(shown[known] / share[known], *band)
+    kelvin[known] = brightness_temperature(bare[known] / share[known], *band)
     change = seen_change(scene.air, *path, kelvin)
     return {} if change is None else {"gases": _rms(change / baked.plan.radiance_per_mk)}
 
