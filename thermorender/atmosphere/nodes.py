@@ -88,11 +88,10 @@ def nodes_of(tables: GPoints, column: AirColumn, band_um: tuple[float, float] | 
 
 
 def merged(absorption: Floats, weight: Floats, depth: float) -> Floats:
-    """Return the absorption (L,) of a group of points (n, L) of weights (n,) or (n, L) at its own optical depth."""
-    weight = weight if weight.ndim == 2 else weight[:, None]
-    found: Floats = (absorption * weight).sum(axis=0) / weight.sum(axis=0)
+    """Return the absorption (L,) of a group of points (n, L) of weights (n,) at its own optical depth."""
+    found: Floats = weight @ absorption / weight.sum()
     for _ in range(_ROUNDS if len(absorption) > 1 else 0):
-        passed = weight * np.exp(-np.minimum(absorption * (depth / np.maximum(found, 1e-30)), 50.0))
+        passed = weight[:, None] * np.exp(-np.minimum(absorption * (depth / np.maximum(found, 1e-30)), 50.0))
         found = (absorption * passed).sum(axis=0) / passed.sum(axis=0)
     return found
 
