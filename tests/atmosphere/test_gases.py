@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thermorender.atmosphere.air_column import AirColumn, of_year, with_gases
+from thermorender.atmosphere.air_column import AEROSOL_CM1, AirColumn, of_year, with_gases
 from thermorender.atmosphere.gpoints import GPoints
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.nodes import MOST_NODES, inside_of
@@ -20,7 +20,7 @@ from thermorender.atmosphere.standards import standard_column
 from thermorender.atmosphere.table_files import read_table
 from thermorender.atmosphere.uncertainty import CONTINUUM, seen_change
 from thermorender.errors import ThermorenderError
-from thermorender.physics.planck import band_radiance_derivative, brightness_temperature
+from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
 
 HERE = Path(__file__).parent
 # Of the page on limits [mK at 20 K of contrast]: median and worst of lines of sight, worst of those of 57 km, root mean
@@ -293,3 +293,19 @@ def test_bands_in_the_wrong_order_and_amounts_that_are_no_numbers_are_named():
         Atmosphere.standard(gases={"ch4_ppb": 2e9})
     # Whole metres are numbers too.
     assert air.sky_temperature(0) == air.sky_temperature(0.0)
+
+
+def test_an_aerosol_is_in_the_nodes_whose_light_it_meets():
+    column = standard_column("us-1976")
+    above = AEROSOL_CM1[:-1] > 1100.0
+    extinction = np.where(above[:, None], 1e-3, 0.0) * np.ones(len(column.altitude_m))
+    clear, hazy = (Atmosphere.of_column(column, (7.5, 13.5), each) for each in (None, extinction))
+    added = (hazy.density - clear.density)[:, 0]
+    wavenumber = 1e4 / clear.upper_um, 1e4 / clear.lower_um
+    assert np.abs(added[wavenumber[1] < 1100.0]).max() < 1e-9
+    assert added[wavenumber[0] > 1150.0] == pytest.approx(1e-3, rel=1e-6)
+    # The band that 1130 cm⁻¹ cuts has its share of it.
+    cut = (wavenumber[0] < 1130.0) & (wavenumber[1] > 1130.0)
+    part = band_radiance(285.0, 1e4 / wavenumber[1][cut][0], 1e4 / 1130.0)
+    whole = band_radiance(285.0, clear.lower_um[cut][0], clear.upper_um[cut][0])
+    assert clear.weight[cut] @ added[cut] == pytest.approx(1e-3 * part / whole, rel=0.02)
