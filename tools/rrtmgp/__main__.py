@@ -34,7 +34,14 @@ def main(arguments):
     whole = files.read(source)
     say = sys.stdout.write
     tables = files.of_bands(whole, BANDS)
-    tables = replace(tables, spectrum=Ratios(tables).fitted(), spectrum_water=WATER_KNOTS)
+    ratios = Ratios(tables)
+    tables = replace(tables, spectrum=ratios.fitted(), spectrum_water=WATER_KNOTS)
+    without = ratios.fitted_without()
+    say("cut bands, level paths through an atmosphere that the fit left out [mK]:\n")
+    for band in judge.CAMERAS:
+        off = np.abs(ratios.left_out(band, without))
+        say(f"{band[0]:g}–{band[1]:g} µm, median {np.median(off):.0f}, 95 % {np.percentile(off, 95):.0f}, worst "
+            f"{off.max():.0f}\n")  # fmt: skip
     every = range(len(tables.wavenumber))
     last = [group for band in every for group in single(tables, band, _SINGLE)]
     tables = replace(tables, groupings=(*(grouped(tables, *each) for each in GROUPINGS), ordered(last)))

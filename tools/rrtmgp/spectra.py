@@ -11,8 +11,8 @@ from thermorender.atmosphere import lowtran
 from thermorender.atmosphere.air_column import WATER, AirColumn
 from thermorender.atmosphere.gpoints import BIN_CM1, GPoints, knots
 from thermorender.atmosphere.nodes import REFERENCE_K
-from thermorender.physics.planck import C2
-from tools.lowtran.spectra import run_all
+from thermorender.physics.planck import C2, band_radiance_derivative
+from tools.lowtran.spectra import CONTRAST_K, run_all
 from tools.rrtmgp.columns import standard_of_1986
 
 # Decimal logarithms of water's mixing ratio at which spectra are fitted: which gas absorbs most decides the order.
@@ -79,12 +79,41 @@ class Ratios:
             )
         return spectrum
 
-    def errors(self, spectrum, band: int, paths=slice(None)):
-        """Return errors of the light below each bin's end, as a share of the band's at no absorption, (paths, bins)."""
-        point, light = (each[paths] for each in self.of_band(band))
-        own = spectrum[:, self.tables.band_of == band][..., self.bins(band)]
-        found = np.einsum("pk,pg,kgb->pb", self.knots[paths], point, own, optimize=True)
-        return np.cumsum(found - light, axis=1)
+    def errors(self, band_um, spectrum, paths=slice(None)):
+        """Return errors of what a camera sees of targets CONTRAST_K warmer than their air, by cut bands, (paths,) [mK].
+
+        The share that passes in the camera's part of each band that it cuts is compared with LOWTRAN's.
+        """
+        low, high = 1e4 / band_um[1], 1e4 / band_um[0]
+        whole, total = band_radiance_derivative(REFERENCE_K, *band_um), 0.0
+        for band, (first, last) in enumerate(self.tables.wavenumber):
+            bins, points = self.bins(band), self.tables.band_of == band
+            part = np.clip(0.5 + (self.middle[bins] - low) / BIN_CM1, 0.0, 1.0)
+            part *= np.clip(0.5 + (high - self.middle[bins]) / BIN_CM1, 0.0, 1.0)
+            if part.all() or not part.any():
+                continue
+            inside = np.einsum("pk,kgb,b->pg", self.knots, spectrum[:, points][..., bins], part, optimize=True)
+            (point, light), (none, black) = self.of_band(band), self.of_band(band, 0.0)
+            off = (point * inside).sum(axis=1) / (none * inside).sum(axis=1) - (light @ part) / (black @ part)
+            edges = 1e4 / min(high, last), 1e4 / max(low, first)
+            total = total + off * band_radiance_derivative(REFERENCE_K, *edges) / whole
+        return 1e3 * CONTRAST_K * total[paths]
+
+    def left_out(self, band_um, spectra):
+        """Return `errors` of each atmosphere's paths by the spectra that were fitted without it."""
+        return np.concatenate(
+            [self.errors(band_um, each, own) for each, own in zip(spectra, self.atmospheres(), strict=True)]
+        )
+
+    def atmospheres(self):
+        """Return the paths of each standard atmosphere."""
+        count = len(self.point) // 6
+        return [slice(number * count, (number + 1) * count) for number in range(6)]
+
+    def fitted_without(self):
+        """Return the spectra that are fitted without one atmosphere after the other."""
+        every = np.arange(len(self.point))
+        return [self.fitted(np.delete(every, each)) for each in self.atmospheres()]
 
 
 def _bins(tables: GPoints) -> int:
