@@ -17,12 +17,15 @@ def main(
     sites: Annotated[
         list[Path] | None, typer.Option(help="File of sites; default: sites.toml and held_out.toml of heat.")
     ] = None,
+    gases: Annotated[
+        Path | None, typer.Option(help="RRTMGP's rrtmgp-gas-lw-g256.nc, to compute the flux of clear columns.")
+    ] = None,
     output: Out = Path("out/validation/longwave"),
     cluster: Cluster = None,
 ):
     """The modelled and the spectral long-wave irradiance of the sky against pyrgeometers."""
     with new_results(output) as (report, folder), spread_over(cluster, output) as spread:
-        result = study.run(sites or study.SITES, data, progress=report, spread=spread)
+        result = study.run(sites or study.SITES, data, progress=report, spread=spread, gases=gases)
         if not result["sites"]:
             raise ThermorenderError(
                 f"--data={', '.join(map(str, data))} has no table with long-wave of any site; give the folder with them"

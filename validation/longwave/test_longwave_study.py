@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from thermorender.atmosphere.from_weather import NearGround, from_weather
+from thermorender.atmosphere.gpoints import GPoints
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.physics import sky
 from thermorender.physics.planck import STEFAN_BOLTZMANN
@@ -54,6 +56,27 @@ def test_opaque_sky_is_black_at_air_temperature():
     # A sky that the air lets through is darker, by no more than the light of the table's wavelengths.
     window = shown - study.spectral_longwave(air, 0.0, kelvin)
     assert 0.1 * np.pi * air.planck(kelvin).sum() < window < np.pi * air.planck(kelvin).sum()
+
+
+def test_flux_of_the_clear_column_is_that_of_the_camera_s_sky():
+    """By g points and by nodes over 6.8–15.9 µm."""
+    day = summer_day()
+    tables, row, kelvin = GPoints.shipped(), 24, float(day.air_k[24])
+    near = NearGround(kelvin, float(day.vapour_pa[row]), float(day.pressure_pa[row]),
+                      float(sky.longwave(day.air_k, day.vapour_pa, 0.0)[row]))  # fmt: skip
+    air = from_weather(near, *PLACE[::2], day.time[row], cloud_fraction=0.0)
+    beyond = STEFAN_BOLTZMANN * kelvin**4 - np.pi * air.planck(kelvin).sum()
+    shown = study.spectral_longwave(air, PLACE[2], kelvin) - beyond
+    assert study.clear_flux(day, row, tables) == pytest.approx(shown, rel=5e-3)
+
+
+def test_columns_are_of_rows_without_cloud():
+    clear = summer_day()
+    found = study.errors_of_column(replace(clear, longwave_w_m2=clear.longwave_w_m2 + 10.0), GPoints.shipped())
+    assert set(found) == {"day", "night"} and found["day"]["rows"] <= 30
+    assert found["day"]["modelled_bias"] == pytest.approx(-10.0, abs=1e-6)
+    # Of the long-wave bands alone, which hold less than the whole.
+    assert found["day"]["bias"] < -50.0
 
 
 def test_spectral_sky_of_a_moderate_climate_returns_the_measured_longwave():
