@@ -17,7 +17,9 @@ STEPS = 1000
 def planck(air, temperature):
     """Blackbody radiance of each node at temperatures (T,), (T, N): the sub-band's integral times the node's share."""
     temperature = np.atleast_1d(np.asarray(temperature, dtype=float))[:, None]
-    share = air.weight * np.exp(C2 * air.tilt * (1.0 / 285.0 - 1.0 / temperature))
+    powers = air.tilt.shape[1]
+    warmth = C2 * (1.0 / 285.0 - 1.0 / (temperature if powers == 1 else np.clip(temperature, 160.0, 6000.0)))
+    share = air.weight * np.exp(sum(air.tilt[:, k] * warmth ** (k + 1) for k in range(powers)))
     result = np.empty_like(share)
     for lower, upper in {*zip(air.lower_um, air.upper_um, strict=True)}:
         own = air.lower_um == lower

@@ -9,7 +9,7 @@ the tracks, and the air's tables. Nothing is shared with `thermorender.render`.
 
 Beyond the surfaces are the sky and, below the horizon, black ground at the temperature of the surroundings and the
 altitude of the scene's origin. Clouds are black at their base and are seen from below only. The sun is a distant point
-that lights diffuse surfaces; its image in a mirror is left out.
+that lights diffuse surfaces, and an even disc in mirrors.
 """
 
 import csv
@@ -24,8 +24,10 @@ C1L, C2 = 2e24 * _H * _C**2, 1e6 * _H * _C / _K
 # Reference temperature of the air table's shares, Earth radius including refraction, and the top of the air.
 SHARES_K, MEAN_RADIUS_M, TOP_M = 285.0, 6.371e6, 1.0e5
 RADIUS_M = MEAN_RADIUS_M / (1.0 - 0.13)
-# The sun's disc: Saiedy and Goody (1959), doi:10.1093/mnras/119.3.213; solar radius and astronomical unit of the IAU.
-SUN_K, SUN_SR = 5036.0, np.pi * (6.957e8 / 1.495978707e11) ** 2
+# The sun's brightness temperature by wavelength (ASTM G173-03 up to 4 µm; Saiedy and Goody 1959 at 11.1 µm); solar
+# radius and astronomical unit of the IAU.
+SUN_K = (3.0, 3.3, 4.0, 8.0, 11.1), (5710.0, 5625.0, 5580.0, 5150.0, 5036.0)
+SUN_SR = np.pi * (6.957e8 / 1.495978707e11) ** 2
 # Parts of the band in scenes without air; altitudes at which the air is tabulated, 0.3 m apart at the ground.
 PARTS, LEVELS_M = 24, 1.5e3 * np.expm1(np.linspace(0.0, np.log1p(TOP_M / 1.5e3), 20001))
 # Steps of a ray through the air to space (their error is up to 5 mK of the sky), longest step of others [m], rays at
@@ -99,12 +101,14 @@ class PathTracer:
     def _paths(self, origin, direction, wavelength, even, random):
         """Band radiance that arrives at `origin` (n, 3) from `direction` (n, 3), (n,)."""
         total, alive = np.zeros(len(origin)), np.arange(len(origin))
-        through = np.ones((len(origin), len(self._of)))
+        through, mirrored = np.ones((len(origin), len(self._of))), np.zeros(len(origin), bool)
         while alive.size:
             length, face, inside = self._cast(origin, direction)
             hit = face >= 0
             if not hit.all():
                 beyond = self._beyond(origin[~hit], direction[~hit], wavelength[~hit])
+                if self._sun is not None:
+                    beyond += mirrored[~hit, None] * self._disc(origin[~hit], direction[~hit], wavelength[~hit])
                 total[alive[~hit]] += (through[~hit] * beyond).sum(axis=1)
             length, face, inside, origin, direction, wavelength, even, through, alive = (
                 values[hit] for values in (length, face, inside, origin, direction, wavelength, even, through, alive)
@@ -128,7 +132,7 @@ class PathTracer:
             even = random.random(even.shape)
             stays = np.minimum(through.max(axis=1, initial=0.0) / FAINT, 1.0)
             on = random.random(len(alive)) < stays
-            through = through[on] / stays[on, None]
+            through, mirrored = through[on] / stays[on, None], mirror[on]
             origin, direction, wavelength, even, alive = (
                 values[on] for values in (origin, direction, wavelength, even, alive)
             )
@@ -207,7 +211,11 @@ class PathTracer:
         if self.air is None:
             return np.ones(len(self._of))
         kelvin = np.asarray(temperature, dtype=float)[..., None]
-        share = self.air.weight * np.exp(C2 * self.air.tilt * (1.0 / SHARES_K - 1.0 / kelvin))
+        powers = self.air.tilt.shape[1]
+        if powers > 1:
+            kelvin = np.clip(kelvin, 160.0, 6000.0)
+        warmth = C2 * (1.0 / SHARES_K - 1.0 / kelvin)
+        share = self.air.weight * np.exp(sum(self.air.tilt[:, k] * warmth ** (k + 1) for k in range(powers)))
         total = np.stack([share[..., self._of == part].sum(axis=-1) for part in range(len(self._low))], axis=-1)
         return share / total[..., self._of]
 
@@ -303,13 +311,25 @@ class PathTracer:
 
     def _lit(self, point, normal, wavelength):
         """Sunlight that a white diffuse surface would reflect, (n, N)."""
-        towards, height, passed = self._sun
+        towards = self._sun[0]
         cosine = normal @ towards
         seen = cosine > 0.0
         seen[seen] = self._cast(point[seen], np.broadcast_to(towards, (seen.sum(), 3)))[1] < 0
+        return np.where(seen, cosine, 0.0)[:, None] * self._bright(point, wavelength) * SUN_SR / np.pi
+
+    def _bright(self, point, wavelength):
+        """Radiance of the sun's disc at points, (n, N)."""
+        _, height, passed = self._sun
         column = np.stack([np.interp(point[:, 2], height, values) for values in passed.T], axis=1)
-        disc = self._black(wavelength, SUN_K) * SUN_SR / np.pi
-        return np.where(seen, cosine, 0.0)[:, None] * disc * column
+        kelvin = np.interp(wavelength, *SUN_K)
+        planck = C1L / wavelength**5 / np.expm1(C2 / (wavelength * kelvin))
+        share = self._share(np.interp(0.5 * (self._low[0] + self._high[-1]), *SUN_K))
+        return (planck * (self._high - self._low))[:, self._of] * share * column
+
+    def _disc(self, point, direction, wavelength):
+        """Radiance of the sun along rays, (n, N); 0 beside its disc."""
+        off = 2.0 * np.arcsin(0.5 * np.linalg.norm(direction - self._sun[0], axis=1))
+        return self._bright(point, wavelength) * (off < np.sqrt(SUN_SR / np.pi))[:, None]
 
 
 def undistorted(camera, place):

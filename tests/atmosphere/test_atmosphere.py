@@ -247,7 +247,8 @@ def test_band_is_selected_and_wrong_bands_are_refused():
     assert narrow.lower_um.min() == 8.5 and narrow.upper_um.max() == 11.0
     assert narrow.planck(300.0).sum() == pytest.approx(band_radiance(300.0, 8.5, 11.0), rel=1e-9)
     with pytest.raises(
-        ThermorenderError, match=r"covers 6.757–15.87 µm, which does not include the camera's band 3–5 µm"
+        ThermorenderError,
+        match=r"covers 6.757–15.87 and 3.077–4.808 µm, which does not include the camera's band 3–5 µm",
     ):
         air.in_band(3.0, 5.0)
 

@@ -41,12 +41,13 @@ def grey_gas(cards):
         assert all(row[6] == "AAD" and row[0] >= 0.0 and 0.0 < row[1] < 1100.0 and row[2] > 150.0 for row in rows)
         own += 1
     first, last, zenith, length = (float(lines[2 + own][10 * k : 10 * k + 10]) for k in range(4))
-    assert [float(lines[3 + own][10 * k : 10 * k + 10]) for k in range(3)] == [625.0, 1485.0, 5.0]
+    *limits, step = (float(lines[3 + own][10 * k : 10 * k + 10]) for k in range(3))
+    assert step == 5.0 and tuple(limits) in lowtran.RANGES
     if flag[1] == 1:
         depth = length * (ABSORPTION_PER_KM * np.exp(-first / SCALE_KM) + (AEROSOL_PER_KM if haze else 0.0))
     else:
         depth = absorbed(first, 100.0 if flag[1] == 3 else last) / max(abs(np.cos(np.radians(zenith))), 1e-3)
-    text = [f"S{wave:8.1f} {np.exp(-depth):.16e} 0.0" for wave in np.arange(625.0, 1486.0, 5.0)]
+    text = [f"S{wave:8.1f} {np.exp(-depth):.16e} 0.0" for wave in np.arange(limits[0], limits[1] + 1.0, 5.0)]
     for z in LEVELS_KM:
         numbers = [z, 1013.25 * np.exp(-z / SCALE_KM), 290.0 - z, *np.full(63, np.exp(-z / 2.0))]
         text.append("L" + " ".join(f"{number:.16e}" for number in numbers))

@@ -128,7 +128,8 @@ def opinion(case, engine=traced):
     frame = renderer.frame(case.pose, **case.view)
     images = np.stack([engine(case, seed) for seed in range(SEEDS)])
     seen, exact = frame.radiance.astype(float), _blocks(images.mean(axis=0))
-    per_mk = band_radiance_derivative(brightness_temperature(exact, *BAND), *BAND) * 1e-3
+    band = renderer.scene.camera.band_um
+    per_mk = band_radiance_derivative(brightness_temperature(exact, *band), *band) * 1e-3
     if case.less:
         dark = replace(case, folder=case.less)
         seen -= tr.Renderer(dark.scene(), **QUALITY).radiance(case.pose, **case.view)
@@ -301,6 +302,40 @@ def _(folder):
     dark = written(folder / "dark", quad(60.0), "paint_metallic", air=CLOUDS)
     scene = written(folder, quad(60.0), "paint_metallic", air=CLOUDS, extra=SUN)
     return Case(scene, tr.pose(0, 0, 2, pitch_deg=-40), 4, less=dark)
+
+
+# A telescope of 2.3°, so that the sun's disc of 0.53° is many pixels wide.
+FAR = {"focal_length_mm": 260.0}
+MIDWAVE = {"band_um": (3.7, 4.8)}
+
+
+def mirrored(folder, camera):
+    """The sun in still water, 100 m away."""
+    scene = written(folder, quad(400.0), "water_fresnel", 290.0, air=AIR, extra=SUN)
+    return Case(scene, tr.pose(0, 0, 64.28, yaw_deg=160, pitch_deg=-40), 64, camera=camera)
+
+
+@case("glint of the sun on still water")
+def _(folder):
+    return mirrored(folder, FAR)
+
+
+@case("mid-wave, 3.7–4.8 µm: glint of the sun on still water")
+def _(folder):
+    return mirrored(folder, FAR | MIDWAVE)
+
+
+@case("mid-wave: sunlit ground and shadow")
+def _(folder):
+    roof = scene_object("roof", [4, 4, 0.2], [0, 0, 3], 300.0)
+    scene = written(folder, quad(16.0, cells=24), "concrete", 300.0, 0.0, AIR, SUN + roof, quad(16.0))
+    return Case(scene, tr.pose(0, 0, 30, pitch_deg=-90), 16, camera=MIDWAVE)
+
+
+@case("mid-wave: ground of 1500 K through 3 km of air")
+def _(folder):
+    scene = written(folder, quad(5000.0), "concrete", 1500.0, air=AIR)
+    return Case(scene, tr.pose(0, 0, 3000, pitch_deg=-90), 16, camera=MIDWAVE)
 
 
 @case("a porous crown over colder ground")

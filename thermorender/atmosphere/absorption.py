@@ -87,7 +87,7 @@ def from_absorption(
         lower_um=np.repeat(data["lower_um"], points),
         upper_um=np.repeat(data["upper_um"], points),
         weight=data["weight"].ravel(),
-        tilt=np.zeros(data["weight"].size),
+        tilt=np.zeros((data["weight"].size, 1)),
         altitude_m=fine,
         temperature=temperature,
         # Each node has its own absorber.

@@ -16,9 +16,11 @@ Floats = NDArray[np.float64]
 
 WATER = "h2o"
 # Gases that vary with altitude: rows of the standard atmospheres' `mixing`.
-VARYING = (WATER, "o3", "co2", "ch4", "n2o")
-# Limits of the bands in which aerosols are tabulated [cm⁻¹].
-AEROSOL_CM1 = np.arange(630.0, 1481.0, 50.0)
+VARYING = (WATER, "o3", "co2", "ch4", "n2o", "co")
+# Nitrogen in dry air: U.S. Standard Atmosphere (1976), table 3.
+_NITROGEN = {"n2": 0.78084}
+# Limits of the bands in which aerosols are tabulated [cm⁻¹]; the one from 1480 to 2050 is in no camera's band.
+AEROSOL_CM1 = np.concatenate([np.arange(630.0, 1481.0, 50.0), np.arange(2050.0, 3251.0, 100.0)])
 # Year of the gases where neither scene nor weather names one.
 YEAR = 2025
 # The table is extended by its last slope up to this year, and begins with its first.
@@ -85,7 +87,7 @@ class AirColumn:
 def with_gases(
     mixing: Mapping[str, Floats], year: float = YEAR, others: Mapping[str, float] | None = None
 ) -> dict[str, Floats]:
-    """Return mixing ratios {gas: (L,)} with the well-mixed gases of a year, and others by name and unit.
+    """Return mixing ratios {gas: (L,)} with the well-mixed gases of a year, nitrogen, and others by name and unit.
 
     Profiles of `mixing` keep their shape with altitude and have the year's amount at the lowest level; water and ozone
     are left as they are. `others` are {"co2_ppm": 500.0, …}.
@@ -101,7 +103,7 @@ def with_gases(
         check_within(f"gases.{name}", amount, 0.0, _MOST[unit], unit)
         amounts[gas] = amount * _UNITS[unit]
     levels = len(mixing[WATER])
-    found = {}
+    found = {gas: np.full(levels, share) for gas, share in _NITROGEN.items()}
     for gas in (*mixing, *(each for each in amounts if each not in mixing)):
         shape = mixing.get(gas, np.ones(levels))
         if gas in amounts:

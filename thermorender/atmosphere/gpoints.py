@@ -16,13 +16,15 @@ from numpy.typing import NDArray
 
 from thermorender.atmosphere.air_column import WATER
 from thermorender.atmosphere.packed import unpacked
+from thermorender.errors import ThermorenderError
 
 Floats = NDArray[np.float64]
 # Bins of `GPoints.spectrum` [cm⁻¹]; the limits of bands are multiples of them.
 BIN_CM1 = 5.0
 # Key species of a band that has none are two of number 2.
 NO_KEY = (2, 2)
-_FILE = __file__.removesuffix("gpoints.py") + "gpoints.npz"
+# Of the long wave and of the mid-wave.
+_FILES = ("gpoints.npz", "gpoints_midwave.npz")
 
 
 class TablePlace(NamedTuple):
@@ -81,11 +83,41 @@ class GPoints:
     spectrum: Floats
     spectrum_water: Floats
     groupings: tuple[tuple[tuple[slice, float], ...], ...] = ()  # From coarse to fine: (g points, depth) of each node
+    powers: int = 1  # In which the logarithm of a node's share changes with 1/temperature
+    # Relative spread of published versions of the self and of the foreign continuum of water.
+    continuum: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
-    def shipped(cls) -> "GPoints":
-        """Return the tables of the package, read once."""
-        return _shipped()
+    def shipped(cls, band_um: tuple[float, float] | None = None) -> "GPoints":
+        """Return the tables of the package for a camera's band [µm], or of the long wave; read once.
+
+        Raises
+        ------
+        ThermorenderError
+            No tables cover the band.
+        """
+        if band_um is None:
+            return _shipped(_FILES[0])
+        spans = []
+        for name in _FILES:
+            found = _shipped(name)
+            if found.covers(band_um):
+                return found
+            spans.append("{:.4g}–{:.4g}".format(*found.span_um))
+        raise ThermorenderError(
+            f"the atmosphere covers {' and '.join(spans)} µm, which does not include the camera's band "
+            f"{band_um[0]:g}–{band_um[1]:g} µm; give another atmosphere or a narrower band"
+        )
+
+    @property
+    def span_um(self) -> tuple[float, float]:
+        """Limits of all bands [µm]."""
+        return 1e4 / float(self.wavenumber[-1, 1]), 1e4 / float(self.wavenumber[0, 0])
+
+    def covers(self, band_um: tuple[float, float]) -> bool:
+        """Return whether a band [µm] is within the tables'."""
+        least, most = self.span_um
+        return least - 1e-9 <= band_um[0] < band_um[1] <= most + 1e-9
 
     def middles(self) -> Floats:
         """Return the middle of each bin of `spectrum`, (bins,) [cm⁻¹]."""
@@ -227,8 +259,8 @@ def _minor_at(section: Floats, place: TablePlace, mixed: list[Mixed]) -> Floats:
 
 
 @cache
-def _shipped() -> GPoints:
-    with open(_FILE, "rb") as file, np.load(file, allow_pickle=False) as stored:
+def _shipped(name: str) -> GPoints:
+    with open(__file__.removesuffix("gpoints.py") + name, "rb") as file, np.load(file, allow_pickle=False) as stored:
         data = {name: stored[name] for name in stored.files}
     gases = tuple(data["gases"].tolist())
     groups = list(zip(data["group"].tolist(), data["depth"].tolist(), strict=True))
@@ -254,4 +286,5 @@ def _shipped() -> GPoints:
             tuple((slice(*ends), depth) for (of, *ends), depth in groups if of == k)
             for k in range(1 + int(data["group"][:, 0].max()))
         ),
+        int(data["powers"]), tuple(data["continuum"].tolist()),
     )  # fmt: skip

@@ -22,7 +22,6 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 
@@ -54,8 +53,8 @@ _COLD_BOUNDARY_K = 10.0
 _WATER = 1.00082
 # Levels that are added to LOWTRAN's, where an aerosol regime fades into the next.
 EXTRA_LEVELS_M = (2250.0, 2500.0, 2750.0, 10500.0)
-# Limits [cm⁻¹] of the long-wave bands of the gases, on LOWTRAN's grid of 5 cm⁻¹.
-FIRST, LAST, STEP = 625, 1485, 5
+# Limits [cm⁻¹] of the long-wave and of the mid-wave bands of the gases, on LOWTRAN's grid.
+RANGES, STEP = ((625, 1485), (2045, 3255)), 5
 _COMPILING = threading.Lock()
 
 _MAIN = """\
@@ -100,7 +99,7 @@ class Levels:
 class Run:
     """What LOWTRAN computes for one path."""
 
-    # wavenumber, transmittance: (173,) float64 at 625 … 1485 cm⁻¹, every 5 cm⁻¹, resolution 20 cm⁻¹
+    # wavenumber, transmittance: (n,) float64 of one of RANGES, every 5 cm⁻¹, resolution 20 cm⁻¹
     wavenumber: Floats
     transmittance: Floats
     amount: Floats  # (63,) float64 scaled absorber amounts along the path, in LOWTRAN's units and order
@@ -125,20 +124,21 @@ def spectrum(
     range_m: float | None = None,
     zenith_deg: float | None = None,
     folder: PathLike[str] | str | None = None,
+    limits: tuple[int, int] = RANGES[0],
 ) -> Run:
-    """Return the Run of one path from an observer at the altitude `first_m`.
+    """Return the Run of one path from an observer at the altitude `first_m`, over one of RANGES.
 
     With `last_m` and the apparent `zenith_deg` the path is the slant one between both altitudes, with `zenith_deg`
     alone it leads to space, and with `range_m` alone it is level, of that length.
     """
     kind = 1 if zenith_deg is None and last_m is None else 3 if last_m is None else 2
     card = _geometry(first_m / 1e3, (last_m or 0.0) / 1e3, zenith_deg or 0.0, (range_m or 0.0) / 1e3)
-    output = _run(_cards(air, kind, card), folder)
+    output = _run(_cards(air, kind, card, limits), folder)
     rows, levels, amount = (
         np.array([line[1:].split() for line in output.splitlines() if line.startswith(mark)], dtype=np.float64)
         for mark in "SLW"
     )
-    if len(rows) != (LAST - FIRST) // STEP + 1 or not np.isfinite(rows).all():
+    if len(rows) != (limits[1] - limits[0]) // STEP + 1 or not np.isfinite(rows).all():
         raise ThermorenderError(
             f"LOWTRAN gives no spectrum for a path from {first_m:g} m to {last_m} m, zenith {zenith_deg}°, range "
             f"{range_m} m; give a path that stays above the ground and below 100 km"
@@ -163,15 +163,20 @@ def extinction(air: Air, altitude_m: Floats) -> Floats:
     """Return the mean extinction of an Air's aerosol in each band of AEROSOL_CM1, (bands, L) [m⁻¹], at altitudes."""
     result = np.zeros((len(AEROSOL_CM1) - 1, len(altitude_m)))
     if air.haze:
-        grid = np.arange(FIRST, LAST + 1, STEP, dtype=np.float64)
-        means = np.stack([spectral_weights(grid, *band) for band in pairwise(AEROSOL_CM1)])
-        result[:] = np.stack([means @ aerosol_depth(air, altitude) for altitude in altitude_m], axis=1)
+        for first, last in RANGES:
+            grid = np.arange(first, last + 1, STEP, dtype=np.float64)
+            own = np.flatnonzero((AEROSOL_CM1[:-1] >= first) & (AEROSOL_CM1[1:] <= last))
+            means = np.stack([spectral_weights(grid, *AEROSOL_CM1[band : band + 2]) for band in own])
+            depth = [means @ aerosol_depth(air, altitude, (first, last)) for altitude in altitude_m]
+            result[own] = np.stack(depth, axis=1)
     return np.maximum(result, 0.0)
 
 
-def aerosol_depth(air: Air, altitude: float) -> Floats:
+def aerosol_depth(air: Air, altitude: float, limits: tuple[int, int] = RANGES[0]) -> Floats:
     """Return the spectrum of an Air's aerosol extinction at an altitude [m⁻¹], from level paths with and without it."""
-    with_it, without = (spectrum(which, float(altitude), range_m=100.0) for which in (air, replace(air, haze=0)))
+    with_it, without = (
+        spectrum(which, float(altitude), range_m=100.0, limits=limits) for which in (air, replace(air, haze=0))
+    )
     return np.log(without.transmittance / with_it.transmittance) / 100.0
 
 
@@ -251,7 +256,7 @@ def _run(cards: str, folder: PathLike[str] | str | None = None) -> str:
         return subprocess.run([executable], cwd=work, capture_output=True, text=True, check=False).stdout
 
 
-def _cards(air: Air, kind: int, geometry: str) -> str:
+def _cards(air: Air, kind: int, geometry: str, limits: tuple[int, int]) -> str:
     """The text of TAPE5 (Kneizys et al., Users Guide to LOWTRAN 7, AFGL-TR-88-0177, 1988)."""
     own = bool(air.levels)
     model, gases = (7, air.model) if own else (air.model, 0)
@@ -271,7 +276,7 @@ def _cards(air: Air, kind: int, geometry: str) -> str:
             # A, A, D: hPa, kelvin, g/m³; a blank takes the gas from the model.
             row = (altitude_m / 1e3, pressure, temperature, water * _WATER, 0.0, 0.0)
             lines.append("".join(_number(value) for value in row) + "AAD")
-    lines += [geometry, f"{FIRST:10.3f}{LAST:10.3f}{STEP:10.3f}", f"{0:5d}"]
+    lines += [geometry, "".join(f"{value:10.3f}" for value in (*limits, STEP)), f"{0:5d}"]
     return "\n".join(lines) + "\n"
 
 

@@ -21,12 +21,12 @@ from thermorender.atmosphere.air_column import AEROSOL_CM1, YEAR, AirColumn, exp
 from thermorender.atmosphere.checks import check_altitudes, check_within
 from thermorender.atmosphere.emission import ALTITUDE_M, Profile, amounts, emission
 from thermorender.atmosphere.gpoints import GPoints
-from thermorender.atmosphere.nodes import REFERENCE_K, nodes_of
+from thermorender.atmosphere.nodes import REFERENCE_K, nodes_of, share_change
 from thermorender.atmosphere.standards import standard_aerosol, standard_column
 from thermorender.atmosphere.table_files import NAMES, read_saved
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
-from thermorender.physics.planck import C2, spectral_radiance
+from thermorender.physics.planck import spectral_radiance
 
 Floats = NDArray[np.float64]
 
@@ -54,8 +54,9 @@ class Atmosphere:
         Sub-band of each node [µm].
     weight : (N,) float64
         Share of the sub-band's Planck radiance at 285 K; sums to 1 over each sub-band.
-    tilt : (N,) float64
-        Wavenumber of the node's light minus that of mid-sub-band [µm⁻¹]; it changes the share with temperature.
+    tilt : (N, P) float64
+        Changes the share with temperature (`nodes.share_change`): first the wavenumber of the node's light minus that
+        of mid-sub-band [µm⁻¹].
     altitude_m : (L,) float64
         Levels above sea level, rising from 0.
     temperature : (L,) float64
@@ -87,7 +88,7 @@ class Atmosphere:
 
     if TYPE_CHECKING:
         # Set with the fields, and not fields themselves.
-        _source: ClassVar[tuple[AirColumn, Floats | None, GPoints] | None]
+        _source: ClassVar[tuple[AirColumn, Floats | None, GPoints | None] | None]
         _bands: ClassVar[Floats]
         _band_of: ClassVar[NDArray[np.intp]]
         _profile: ClassVar[Profile]
@@ -98,7 +99,7 @@ class Atmosphere:
             values.flags.writeable = False
             # The dataclass is frozen, so values are set this way.
             object.__setattr__(self, name, values)
-        # AirColumn and aerosol that the arrays follow from; copies with other arrays have none.
+        # AirColumn, aerosol and own tables that the arrays follow from; copies with other arrays have none.
         object.__setattr__(self, "_source", None)
         limits = np.stack([self.lower_um, self.upper_um], axis=1)
         bands, which = np.unique(limits, axis=0, return_inverse=True)
@@ -186,7 +187,7 @@ class Atmosphere:
         `in_band` computes the nodes of another band from the column again, also of a saved atmosphere. The sub-bands of
         air without a column are cut, as if each node's light were spread evenly over its sub-band.
         """
-        tables = tables or GPoints.shipped()
+        own_tables, tables = tables, tables or GPoints.shipped(band_um)
         _check_column(column, extinction, tables)
         # Of a sounding in thousands of levels every few, and the last.
         own = np.append(column.altitude_m[: -1 : 1 + len(column.altitude_m) // _MOST_LEVELS], column.altitude_m[-1])
@@ -200,7 +201,7 @@ class Atmosphere:
             nodes.lower_um, nodes.upper_um, nodes.weight, nodes.tilt, levels, fine.temperature, density,
             np.eye(len(nodes.weight)),
         )  # fmt: skip
-        object.__setattr__(found, "_source", (column, extinction, tables))
+        object.__setattr__(found, "_source", (column, extinction, own_tables))
         return found
 
     @classmethod
@@ -219,9 +220,8 @@ class Atmosphere:
             if source is not None:
                 (altitude, pressure, temperature), gas, mixing, extinction = source
                 column = AirColumn(altitude, pressure, temperature, dict(zip(gas, mixing, strict=True)))
-                tables = GPoints.shipped()
-                _check_column(column, extinction, tables)
-                object.__setattr__(found, "_source", (column, extinction if extinction.any() else None, tables))
+                _check_column(column, extinction, GPoints.shipped())
+                object.__setattr__(found, "_source", (column, extinction if extinction.any() else None, None))
             return found.clouded(*cloud)
         except ThermorenderError as error:
             raise ThermorenderError(f"atmosphere {path}: {error}") from None
@@ -316,7 +316,8 @@ class Atmosphere:
         assert self._source is not None
         column, extinction, tables = self._source
         band = float(self.lower_um.min()), float(self.upper_um.max())
-        return self.of_column(column, band, extinction, change(tables)).clouded(self.cloud_fraction, self.cloud_base_m)
+        tables = change(tables or GPoints.shipped(band))
+        return self.of_column(column, band, extinction, tables).clouded(self.cloud_fraction, self.cloud_base_m)
 
     @property
     def column(self) -> AirColumn | None:
@@ -333,9 +334,8 @@ class Atmosphere:
 
         Notes
         -----
-        The integral has six Gauss–Legendre points per sub-band, exact to 1e-9 from 150 K. The share is
-        weight · exp(c₂ tilt (1/285 K − 1/T)), normalised over the sub-band: Wien's law for a node whose light is not
-        at the middle of its sub-band.
+        The integral has six Gauss–Legendre points per sub-band, exact to 1e-9 from 150 K. The share is the weight
+        times `nodes.share_change`, normalised over the sub-band, for a node whose light is not at its middle.
         """
         half = 0.5 * (self._bands[:, 1] - self._bands[:, 0])
         wavelength = self._bands.mean(axis=1)[:, None] + half[:, None] * _PLANCK_NODE
@@ -346,8 +346,7 @@ class Atmosphere:
     def shares(self, temperature: ArrayLike) -> Floats:
         """Return each node's share of a blackbody's radiance in its sub-band, (..., N)."""
         temperature = np.asarray(temperature, dtype=np.float64)[..., None]
-        # Tilts are at most half a sub-band, so the exponent stays below 30 from 20 K up.
-        share = self.weight * np.exp(C2 * self.tilt * (1.0 / REFERENCE_K - 1.0 / np.maximum(temperature, 20.0)))
+        share = self.weight * share_change(self.tilt, temperature)
         return share / (share @ np.equal.outer(self._band_of, np.arange(len(self._bands))))[..., self._band_of]
 
     def air_temperature(self, at_m: ArrayLike) -> Floats:

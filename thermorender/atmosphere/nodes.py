@@ -5,10 +5,10 @@ group of g points absorbs at each level as its points do on the path where its m
 the mean of their absorption with weights exp(−τ). `tools/rrtmgp` chooses groups and depths.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.atmosphere.air_column import WATER, AirColumn
 from thermorender.atmosphere.gpoints import BIN_CM1, GPoints
@@ -23,6 +23,8 @@ REFERENCE_K = 285.0
 MOST_NODES = 20
 # Share of a g point's light that is spread evenly over its band, so that no part of a band is without light.
 _EVEN = 1e-4
+# Temperatures between which shares of several powers are fitted [K]: the sun's is below the highest. Beyond, they stay.
+_COLDEST_K, _HOTTEST_K, _SHARES = 160.0, 6000.0, 64
 # Rounds of the fixed point for a group's absorption, which change it by less than 1 % after the third.
 _ROUNDS = 3
 
@@ -33,7 +35,7 @@ class Nodes(NamedTuple):
     lower_um: Floats  # (N,) limits of the node's sub-band
     upper_um: Floats
     weight: Floats  # (N,) share of the sub-band's Planck radiance at 285 K
-    tilt: Floats  # (N,) wavenumber of the node's light minus that of mid-sub-band [µm⁻¹]
+    tilt: Floats  # (N, P) of `share_change` [µm⁻¹, µm⁻² …]
     absorption: Floats  # (N, L) [m⁻¹]
     spectrum: Floats  # (N, bins) where the node's light lies: shares of bins as `GPoints.spectrum`
     middle: Floats  # (bins,) middles of the bins [cm⁻¹]
@@ -73,10 +75,10 @@ def nodes_of(tables: GPoints, column: AirColumn, band_um: tuple[float, float] | 
         spectrum = (share[points, None] * inside[points]).sum(axis=0)
         spectrum /= spectrum.sum()
         ends = max(tables.wavenumber[band, 0], low), min(tables.wavenumber[band, 1], high)
-        tilt = 1e-4 * (spectrum @ middle - 0.5 * sum(ends))
+        tilt = tilts(spectrum, middle, ends, tables.powers)
         part = slice(points.start - first, points.stop - first)
         # `share` belongs to the temperature at the ground.
-        weight = own.sum() * np.exp(C2 * tilt * (1.0 / column.temperature[0] - 1.0 / REFERENCE_K))
+        weight = own.sum() / float(share_change(tilt, column.temperature[0]))
         rows.append((1e4 / ends[1], 1e4 / ends[0], weight, tilt, merged(absorption[part], own, depth), spectrum))
     lower, upper, weight, tilt, found, spectra = (np.array(each) for each in zip(*rows, strict=True))
     if band_um is not None:
@@ -85,6 +87,48 @@ def nodes_of(tables: GPoints, column: AirColumn, band_um: tuple[float, float] | 
     for edge in np.unique(lower):
         weight[lower == edge] /= weight[lower == edge].sum()
     return Nodes(lower, upper, weight, tilt, found, spectra, middle)
+
+
+def tilts(spectrum: Floats, middle: Floats, ends: tuple[float, float], powers: int) -> Floats:
+    """Return the coefficients (P,) of `share_change` for light by bin (bins,) in a sub-band between two wavenumbers."""
+    mean: Floats = np.array([1e-4 * (spectrum @ middle - 0.5 * sum(ends))])
+    if powers == 1:
+        return mean
+    # The sub-band's own change is left out, as shares are normalised.
+    lit, centre = spectrum > 0.0, np.array([0.5 * sum(ends)])
+    x = np.cos(np.pi * (np.arange(_SHARES) + 0.5) / _SHARES) * 0.5 * (_warmth(_HOTTEST_K) - _warmth(_COLDEST_K))
+    x += 0.5 * (_warmth(_HOTTEST_K) + _warmth(_COLDEST_K))
+    kelvin = 1.0 / (1.0 / REFERENCE_K - x / C2)
+    change = np.log(_warmer(middle[lit], kelvin) @ spectrum[lit]) - np.log(_warmer(centre, kelvin)[:, 0])
+    found: Floats = np.linalg.lstsq(x[:, None] ** np.arange(1, powers + 1), change, rcond=None)[0]
+    return found
+
+
+def share_change(tilt: Floats, kelvin: ArrayLike) -> Floats:
+    """Return the factor (...,) on a node's share at temperatures against that at 285 K, before shares are normalised.
+
+    exp(Σ tilt_p x^p) with x = c₂ (1/285 K − 1/T). One power is Wien's law for light at one wavenumber, given from
+    mid-sub-band; more are fitted to Planck's law over the light's spectrum. `tilt` is (..., P), broadcast.
+    """
+    kelvin = np.asarray(kelvin, np.float64)
+    powers = tilt.shape[-1]
+    # Tilts are at most half a sub-band, so the exponent of one power stays below 30 from 20 K up.
+    x = _warmth(np.maximum(kelvin, 20.0) if powers == 1 else np.clip(kelvin, _COLDEST_K, _HOTTEST_K))
+    total: Floats = tilt[..., powers - 1] * x
+    for power in range(powers - 2, -1, -1):
+        total = (total + tilt[..., power]) * x
+    return np.exp(total)
+
+
+def _warmth(kelvin: Any) -> Any:
+    """c₂ (1/285 K − 1/T) [µm]."""
+    return C2 * (1.0 / REFERENCE_K - 1.0 / kelvin)
+
+
+def _warmer(wavenumber: Floats, kelvin: Floats) -> Floats:
+    """Blackbody radiance at temperatures over that at 285 K, (T, n), at wavenumbers [cm⁻¹]."""
+    at = C2 * 1e-4 * wavenumber
+    return np.expm1(at / REFERENCE_K) / np.expm1(at / kelvin[:, None])
 
 
 def merged(absorption: Floats, weight: Floats, depth: float) -> Floats:
@@ -106,11 +150,10 @@ def _groups(tables: GPoints, bands: slice) -> list[tuple[slice, float]]:
 def _covered(tables: GPoints, band_um: tuple[float, float]) -> tuple[float, float]:
     """Limits [cm⁻¹] of a camera's band."""
     lower, upper = band_um
-    least, most = 1e4 / tables.wavenumber[-1, 1], 1e4 / tables.wavenumber[0, 0]
-    if not least - 1e-9 <= lower < upper <= most + 1e-9:
+    if not tables.covers(band_um):
         raise ThermorenderError(
-            f"the atmosphere covers {least:.4g}–{most:.4g} µm, which does not include the camera's band "
-            f"{lower:g}–{upper:g} µm; give another atmosphere or a narrower band"
+            f"the atmosphere covers {tables.span_um[0]:.4g}–{tables.span_um[1]:.4g} µm, which does not include the "
+            f"camera's band {lower:g}–{upper:g} µm; give another atmosphere or a narrower band"
         )
     return 1e4 / upper, 1e4 / lower
 

@@ -11,10 +11,10 @@ from thermorender.errors import ThermorenderError
 
 Arrays = dict[str, NDArray[Any]]
 
-# Arrays of a saved atmosphere and their axes: nodes N, absorbers J, levels L. The first array with an axis sets its
-# length.
+# Arrays of a saved atmosphere and their axes: nodes N, powers P, absorbers J, levels L. The first array with an axis
+# sets its length.
 _AXES = {
-    "lower_um": "N", "upper_um": "N", "weight": "N", "tilt": "N", "altitude_m": "L", "temperature": "L",
+    "lower_um": "N", "upper_um": "N", "weight": "N", "tilt": "NP", "altitude_m": "L", "temperature": "L",
     "density": "JL", "absorption": "NJ", "cloud": "2",
 }  # fmt: skip
 # Those of the column that an atmosphere follows from: levels K with altitude, pressure and temperature, gases M and
@@ -68,6 +68,9 @@ def read_arrays(
         raise ThermorenderError(f"{kind} {path} cannot be read ({error.strerror or error}); give {give}") from None
     except Exception:
         values = {}
+    if np.ndim(values.get("tilt", 0.0)) == 1:
+        # Files of earlier versions.
+        values["tilt"] = values["tilt"][:, None]
     if not values:
         raise ThermorenderError(f"{kind} {path} is not an .npz file with its arrays; give {give}")
     wrong = _misshapen(values, axes)
@@ -137,9 +140,10 @@ def _first_wrong(values: Arrays) -> str | None:
     # Single precision is enough, because shares are normalised again in use.
     if abs(total[worst] - 1.0) > 1e-5:
         return f"weight sums to {total[worst]:g} over {bands[worst, 0]:g}–{bands[worst, 1]:g} µm; the sum must be 1"
-    far = np.abs(values["tilt"]) >= 1.0 / upper
+    tilt = values["tilt"][:, 0]
+    far = np.abs(tilt) >= 1.0 / upper
     if far.any():
-        return f"tilt holds {values['tilt'][far][0]:g}; it must be smaller than 1/upper_um, a wavenumber in µm⁻¹"
+        return f"tilt holds {tilt[far][0]:g}; it must be smaller than 1/upper_um, a wavenumber in µm⁻¹"
     with np.errstate(over="ignore"):
         most = (values["absorption"] @ values["density"]).max()
     if not most <= _MOST_EXTINCTION:

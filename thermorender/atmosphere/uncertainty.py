@@ -11,9 +11,8 @@ from thermorender.atmosphere.model import Atmosphere
 
 Floats = NDArray[np.float64]
 
-# Relative spread of published versions of the water continuum (MT_CKD), by kind: self and foreign. Together they change
-# level paths of 50 m to 20 km by 63 mK in the median and 650 mK at most, as the versions differ (71 to 93, 635).
-CONTINUUM = {"h2o_self": 0.17, "h2o_frgn": 0.2}
+# The kinds of the water continuum, in the order of `GPoints.continuum`.
+CONTINUUM = ("h2o_self", "h2o_frgn")
 # Error of nodes (0.2 to 0.4 %) and of the edges of a camera's band, as a share of what the air changes.
 _FITTED = 0.005
 
@@ -56,11 +55,12 @@ def _seen(air: Atmosphere, from_m: ArrayLike, to_m: ArrayLike, range_m: ArrayLik
 def _stronger(air: Atmosphere, kind: str) -> Atmosphere:
     """The air with more of one continuum."""
 
-    def changed(one: Minor) -> Minor:
-        more = CONTINUUM[kind] if one.kind == kind else 0.0
-        return replace(one, cross_section=one.cross_section * (1.0 + more)) if more else one
-
     def with_more(tables: GPoints) -> GPoints:
+        more = 1.0 + tables.continuum[CONTINUUM.index(kind)]
+
+        def changed(one: Minor) -> Minor:
+            return replace(one, cross_section=one.cross_section * more) if one.kind == kind else one
+
         lower, upper = (tuple(map(changed, part)) for part in tables.minor)
         return replace(tables, minor=(lower, upper))
 

@@ -1,4 +1,4 @@
-"""The sun: position, time of sunrise, and long-wave infrared irradiance above the atmosphere."""
+"""The sun: position, time of sunrise, and thermal infrared irradiance above the atmosphere."""
 
 from typing import Any
 
@@ -7,9 +7,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from thermorender.physics.planck import spectral_radiance
 
-# Measured at the centre of the disc at 11.10 µm: Saiedy and Goody (1959), doi:10.1093/mnras/119.3.213: 5036 ± 30 K.
-# The disc is nearly uniform there, and the temperature changes by 2 % over the long-wave window.
-BRIGHTNESS_TEMPERATURE_K = 5036.0
+# Brightness temperature of the disc: up to 4 µm of the spectrum of ASTM G173-03 (Gueymard 2004,
+# doi:10.1016/j.solener.2003.08.039), to 1.5 %; at 8 µm MODTRAN's; at 11.10 µm measured at the centre by Saiedy and
+# Goody (1959), doi:10.1093/mnras/119.3.213: 5036 ± 30 K. The disc is nearly uniform there.
+_WAVELENGTH_UM = (3.0, 3.3, 4.0, 8.0, 11.1)
+_BRIGHTNESS_K = (5710.0, 5625.0, 5580.0, 5150.0, 5036.0)
 # Nominal solar radius (IAU 2015 resolution B3) at one astronomical unit.
 SOLID_ANGLE_SR = np.pi * (6.957e8 / 1.495978707e11) ** 2
 # Up to this elevation the sun counts as down [deg].
@@ -23,9 +25,14 @@ Times = NDArray[np.datetime64] | np.datetime64
 def irradiance(wavelength_um: ArrayLike) -> NDArray[np.float64]:
     """Return the sun's spectral irradiance above the atmosphere, normal to its rays [W m⁻² µm⁻¹].
 
-    At the mean distance, over 7–14 µm; uncertain by 3 %, and by another 3.4 % over the year.
+    At the mean distance, over 3–14 µm; uncertain by 2 % up to 4 µm, by 3 % beyond, and by another 3.4 % over the year.
     """
-    return SOLID_ANGLE_SR * spectral_radiance(wavelength_um, BRIGHTNESS_TEMPERATURE_K)
+    return SOLID_ANGLE_SR * spectral_radiance(wavelength_um, brightness_temperature(wavelength_um))
+
+
+def brightness_temperature(wavelength_um: ArrayLike) -> NDArray[np.float64]:
+    """Return the temperature [K] of a blackbody disc as bright as the sun's, over 3–14 µm."""
+    return np.interp(np.asarray(wavelength_um, np.float64), _WAVELENGTH_UM, _BRIGHTNESS_K)
 
 
 def direction(elevation_deg: float, azimuth_deg: float) -> NDArray[np.float64]:

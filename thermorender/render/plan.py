@@ -1,7 +1,7 @@
 """The plan of a scene: spectral nodes, bake, air and samples, each choice with its error in mK."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -226,8 +226,11 @@ def make_plan(scene: Scene, sampling: Sampling | None = None, kept: "tuple[Plan,
         arrives = passed @ scene.air.planck(REFERENCE_K) + added.sum()
         air_mk = abs(float(arrives - band_radiance(REFERENCE_K, *band))) / per_mk
     if scene.sun is not None:
-        light = irradiance(wavelength) / np.pi * (scene.sun.elevation_deg > 0.0)
+        height = np.sin(np.radians(scene.sun.elevation_deg))
+        light = irradiance(wavelength) / np.pi * (height > 0.0)
         sun_mk = float((reflectance @ (light * weight)).max() / per_mk)
+        if sun_mk > 0.1 * sampling.tolerance_mk:
+            envelope = replace(envelope, sun_cosine=float(height))
     spectrum = None
     if kept is not None and bake and kept[0].bake:
         spectrum = kept_spectrum(kept[0].spectrum, kept[1].materials, scene.materials, envelope)
@@ -248,7 +251,7 @@ def make_plan(scene: Scene, sampling: Sampling | None = None, kept: "tuple[Plan,
         dynamic=len(scene.tracked_objects),
         air_mk=air_mk,
         sun_mk=sun_mk,
-        sun=sun_mk is not None and sun_mk > 0.1 * sampling.tolerance_mk,
+        sun=envelope.sun_cosine is not None,
         specular_mk=specular.effect_mk if specular else None,
         specular=specular if specular and specular.effect_mk > 0.1 * sampling.tolerance_mk else None,
         assumed=_assumed(scene, per_mk),

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import Mixture, spectra_of
+from thermorender.physics import sun
 from thermorender.physics.band import Emissivity, RadianceTable, quadrature
 from thermorender.physics.planck import (
     Floats,
@@ -83,6 +84,15 @@ class Points:
         """Share of each point in its node's light."""
         black = self.planck(REFERENCE_K)
         return black / np.bincount(self.node, black)[self.node]
+
+    def sunlight(self, at_m: float, cos_zenith: float) -> Floats:
+        """Return the sun's irradiance at each point, (Q,) [W m⁻²], through the air above an altitude and normal to its
+        rays."""
+        assert self.air is not None
+        middle = 0.5 * (self.air.lower_um.min() + self.air.upper_um.max())
+        share = (1.0 - self.air.cloud_fraction) * self.air.shares(sun.brightness_temperature(middle))
+        passed = share * self.air.sun_transmittance(at_m, cos_zenith)
+        return sun.irradiance(self.wavelength_um) * self.weight * passed[self.node]
 
     def spread(self, radiance: Floats) -> Floats:
         """Return radiance of the air's nodes, (..., n), spread over the points as a blackbody's is, (..., Q)."""
@@ -172,6 +182,7 @@ class Envelope:
     surroundings_temperature: float  # [K]
     air: Atmosphere | None
     altitude_m: tuple[float, float]  # of the lowest and the highest surface above sea level
+    sun_cosine: float | None = None  # of the sun's zenith angle, where sunlight is included
 
     @property
     def temperatures(self) -> list[float]:
@@ -181,8 +192,9 @@ class Envelope:
         return [*self.ground, *own, *skies, self.surroundings_temperature]
 
     def sources(self, points: Points) -> tuple[Floats, Floats, Floats]:
-        """Return emission at the points: (outside (n, Q), ground (2, Q), objects (t, Q)). Outside is sky and
-        surroundings; others are blackbodies at the ground's extreme and the objects' temperatures."""
+        """Return emission at the points: (outside (n, Q), ground (2, Q), objects (t, Q)). Outside is the sky, sunlight
+        with the sky on a face towards the sun, and surroundings; others are blackbodies at the ground's extreme and the
+        objects' temperatures."""
         ground = _black(points, self.ground)
         objects = _black(points, [temperature for _, temperature in self.objects]) if self.objects else ground[:0]
         background = _black(points, [self.surroundings_temperature])
@@ -190,8 +202,11 @@ class Envelope:
             assert self.sky_temperature is not None
             return np.concatenate([_black(points, [self.sky_temperature]), background]), ground, objects
         at, cosine = np.meshgrid(self.altitude_m, _SKY_COSINES)
-        sky = self.air.sky_radiance(at.ravel(), cosine.ravel())
-        return np.concatenate([points.spread(sky), background]), ground, objects
+        sky = points.spread(self.air.sky_radiance(at.ravel(), cosine.ravel()))
+        if self.sun_cosine is not None:
+            lit = points.sunlight(self.altitude_m[0], self.sun_cosine) / np.pi
+            sky = np.concatenate([sky, [sky[0] + lit]])
+        return np.concatenate([sky, background]), ground, objects
 
     def light(self, emissivity: Floats, outside: Floats, ground: Floats, objects: Floats) -> Floats:
         """Return spectra that can fall on a surface of this scene, (n, X), from sources at points or at nodes: the
@@ -359,8 +374,12 @@ class _Case:
         features = [*(1.0 - spectra), _COLOUR_WEIGHT * (colour - colour.mean())]
         if envelope.air is not None:
             # The sky counts by the share reflected. The air's transmittance has little effect.
-            sky = self.sources[0][:-1] / self.black
+            sky = self.sources[0][: len(_SKY_COSINES) * 2] / self.black
             features += [*((1.0 - spectra).mean(axis=1).max() * sky[[0, -1]])]
+            if envelope.sun_cosine is not None:
+                # By its logarithm, as sunlight exceeds a blackbody's light by orders of magnitude.
+                lit = np.log1p(self.sources[0][-2] / self.black)
+                features.append(_COLOUR_WEIGHT * (lit - lit.mean()))
         return np.stack(features, axis=1)
 
     def spectrum(

@@ -16,7 +16,7 @@ CONTRAST_K = 20.0
 # pressure and of inverse temperature that scale it: Kneizys et al. (1988), AFGL-TR-88-0177.
 _SCALED = {
     "h2o": (17, 10.0, 1.1406, -2.6343), "o3": (31, 1.0, 0.4221, 0.7678), "co2": (35, 1.0, 0.6705, -2.2560),
-    "ch4": (45, 1.0, 0.7139, -0.4185), "n2o": (47, 1.0, 0.7203, -0.1836),
+    "ch4": (45, 1.0, 0.7139, -0.4185), "n2o": (47, 1.0, 0.7203, -0.1836), "co": (43, 1.0, 0.7589, 0.6911),
 }  # fmt: skip
 # Molecules per cubic metre in a centimetre-atmosphere per kilometre.
 _CM_ATM_KM = 2.6867811e20
@@ -29,10 +29,14 @@ def standard_levels():
     }
 
 
-def run_all(paths, workers=1):
-    """Return LOWTRAN's Run of each path."""
+def run_all(paths, workers=1, limits=lowtran.RANGES[0]):
+    """Return LOWTRAN's Run of each path, over one of its ranges."""
+
+    def run(path):
+        return lowtran.spectrum(path[0], path[1], path[2], path[4], path[3], limits=limits)
+
     with ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(lambda path: lowtran.spectrum(path[0], path[1], path[2], path[4], path[3]), paths))
+        return list(pool.map(run, paths))
 
 
 def water_g_m3(levels):

@@ -75,7 +75,8 @@ def write(path: str | PathLike[str], tables: GPoints) -> None:
         "planck_k": tables.planck_k, "planck": np.float32(tables.planck), "spectrum": np.float16(tables.spectrum),
         "spectrum_water": tables.spectrum_water,
         "group": np.array([(k, each.start, each.stop) for k, own in enumerate(tables.groupings) for each, _ in own]),
-        "depth": np.array([depth for own in tables.groupings for _, depth in own]),
+        "depth": np.array([depth for own in tables.groupings for _, depth in own]), "powers": np.array(tables.powers),
+        "continuum": np.array(tables.continuum),
         "source": np.array("rrtmgp-gas-lw-g256.nc of RRTMGP (BSD-3), Pincus et al. (2019), doi:10.1029/2019MS001621"),
     }  # fmt: skip
     with atomic(path) as part, open(part, "wb") as file:

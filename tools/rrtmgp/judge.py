@@ -20,7 +20,7 @@ from tools.rrtmgp.merging import CONTRAST_K, Lit
 _STEP = 0.02
 Floats = NDArray[np.float64]
 # Bands of cameras [µm].
-CAMERAS = ((7.5, 13.5), (8.0, 14.0), (8.0, 12.0), (10.0, 12.0), (8.0, 9.5))
+CAMERAS = ((7.5, 13.5), (8.0, 14.0), (8.0, 12.0), (10.0, 12.0), (8.0, 9.5), (3.7, 4.8), (3.1, 4.8))
 # (warmer [K], moister) of the columns.
 _HELD = ((4, 0.7), (14, 1.2), (-14, 0.8), (0, 2.0))
 PATHS = (
@@ -51,9 +51,7 @@ class Errors(NamedTuple):
         )
 
 
-def errors(
-    tables: GPoints, columns: Sequence[AirColumn], cameras: Sequence[tuple[float, float]] = CAMERAS
-) -> list[Errors]:
+def errors(tables: GPoints, columns: Sequence[AirColumn], cameras: Sequence[tuple[float, float]]) -> list[Errors]:
     """Return the Errors of each camera's band over columns."""
     found = []
     for band in cameras:
@@ -72,12 +70,12 @@ def errors(
     return found
 
 
-def write_reference(path: str | PathLike[str], tables: GPoints) -> None:
+def write_reference(path: str | PathLike[str], tables: GPoints, cameras: Sequence[tuple[float, float]]) -> None:
     """Write what all g points give for the held columns, to judge the package's nodes by."""
     columns = [(number, *change) for number in range(6) for change in _HELD]
-    true = [[true_radiance(tables, standard(*each), band) for each in columns] for band in CAMERAS]
+    true = [[true_radiance(tables, standard(*each), band) for each in columns] for band in cameras]
     arrays = {
-        "band_um": np.array(CAMERAS), "column": np.array(columns), "path": np.array(PATHS), "sky": np.array(SKIES),
+        "band_um": np.array(cameras), "column": np.array(columns), "path": np.array(PATHS), "sky": np.array(SKIES),
         "contrast_k": np.array(CONTRAST_K), "paths": np.float32([[seen for seen, _, _ in own] for own in true]),
         "skies": np.float32([[sky for _, sky, _ in own] for own in true]),
     }  # fmt: skip

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from thermorender.atmosphere.air_column import WATER, AirColumn
 from thermorender.atmosphere.gpoints import GPoints
-from thermorender.atmosphere.nodes import inside_of, merged
-from thermorender.physics.planck import C2, band_radiance
+from thermorender.atmosphere.nodes import inside_of, merged, share_change, tilts
+from thermorender.physics.planck import band_radiance
 from tools.rrtmgp.columns import LEVELS_M
 
 Floats = NDArray[np.float64]
@@ -51,16 +51,25 @@ class Lit:
     as_nodes: Floats  # (2, G, L) `planck` and `warmer` with shares as nodes have them
 
     @classmethod
-    def of(cls, tables: GPoints, column: AirColumn, band_um: tuple[float, float]) -> "Lit":
-        """Return that of all g points in a camera's band; those outside have next to no light."""
+    def of(
+        cls, tables: GPoints, column: AirColumn, band_um: tuple[float, float], warmer_k: float = CONTRAST_K
+    ) -> "Lit":
+        """Return that of all g points in a camera's band, and targets `warmer_k` warmer than the air; g points outside
+        the band have next to no light."""
         low, high = 1e4 / band_um[1], 1e4 / band_um[0]
         inside = np.maximum(inside_of(tables, low, high, float(column.mixing[WATER][0])), 1e-15)
-        tilt = 1e-4 * (inside @ tables.middles()) / inside.sum(axis=1)
-        # A target's share is that of air as warm as itself.
+        centre = 0.5 * np.clip(tables.wavenumber, low, high).sum(axis=1)[tables.band_of]
+        spectrum = inside / inside.sum(axis=1, keepdims=True)
+        tilt = np.array([tilts(own, tables.middles(), (middle, middle), tables.powers)
+                         for own, middle in zip(spectrum, centre, strict=True)])  # fmt: skip
+        # A target's share is that of air as warm as itself, or that of the warmest air changed.
+        warm = column.temperature + warmer_k
+        known = np.minimum(warm, tables.temperature[-1])
         share, warm_share = (
-            tables.shares(column.pressure_pa, column.temperature + more, column.mixing) * inside.sum(axis=1)[:, None]
-            for more in (0.0, CONTRAST_K)
+            tables.shares(column.pressure_pa, kelvin, column.mixing) * inside.sum(axis=1)[:, None]
+            for kelvin in (column.temperature, known)
         )
+        warm_share *= _changed(tilt, warm) / _changed(tilt, known)
         light, as_nodes = np.zeros((2, *share.shape)), np.zeros((2, *share.shape))
         for band, (first, last) in enumerate(np.clip(tables.wavenumber, low, high)):
             own = tables.band_of == band
@@ -69,18 +78,18 @@ class Lit:
             if last <= first:
                 continue
             for k, each in enumerate((share, warm_share)):
-                kelvin = column.temperature + k * CONTRAST_K
+                kelvin = column.temperature + k * warmer_k
                 black = band_radiance(kelvin, 1e4 / last, 1e4 / first)
                 light[k, own] = each[own] * black
                 # Shares at the ground, which change with temperature by the place of the light in the band.
-                node = share[own, :1] * np.exp(C2 * np.outer(tilt[own], 1.0 / column.temperature[0] - 1.0 / kelvin))
+                node = share[own, :1] * _changed(tilt[own], kelvin) / _changed(tilt[own], column.temperature[:1])
                 as_nodes[k, own] = node / node.sum(axis=0) * black
         absorption = tables.absorption(column.pressure_pa, column.temperature, column.mixing)
         return cls(100.0 * absorption * column.dry, share, *light, as_nodes)
 
     @property
     def kelvin(self) -> float:
-        """Kelvin of a blackbody for a radiance, at the ground."""
+        """Kelvin of a blackbody for a radiance, at the ground, as if all targets were CONTRAST_K warmer."""
         return CONTRAST_K / float((self.warmer[:, 0] - self.planck[:, 0]).sum())
 
     def part(self, points: slice) -> "Lit":
@@ -137,6 +146,12 @@ def chosen(every: Sequence[Lit], band_of: NDArray[np.intp], most: int) -> list[G
 def judged(lit: Lit, groups: Sequence[Group], paths: Paths, skies: Sequence[float]) -> Floats:
     """Return errors of apparent temperature of targets and of skies, (tests,) [K], by the slope at the ground's air."""
     return (lit.merged(groups).seen(paths, skies).sum(axis=1) - lit.seen(paths, skies).sum(axis=1)) * lit.kelvin
+
+
+def _changed(tilt: Floats, kelvin: Floats) -> Floats:
+    """Change of shares (G, L) at temperatures (L,)."""
+    found: Floats = share_change(tilt[:, None], kelvin)
+    return found
 
 
 def _level(altitude_m: float) -> int:

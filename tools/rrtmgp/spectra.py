@@ -28,7 +28,10 @@ class Ratios:
 
     def __init__(self, tables: GPoints, workers=2):
         paths = [(number, up, length) for number in range(6) for up in _ALTITUDES_M for length in _LENGTHS_M]
-        runs = run_all([(lowtran.Air(number + 1), up, None, None, length) for number, up, length in paths], workers)
+        # Those that hold all bands.
+        limits = next(each for each in lowtran.RANGES if each[1] >= tables.wavenumber[-1, 1])
+        of_paths = [(lowtran.Air(number + 1), up, None, None, length) for number, up, length in paths]
+        runs = run_all(of_paths, workers, limits)
         self.tables, self.middle = tables, tables.wavenumber[0, 0] + BIN_CM1 * (0.5 + np.arange(_bins(tables)))
         air = {number: standard_of_1986(number).at(np.array(_ALTITUDES_M)) for number in range(6)}
         found = {number: _seen(tables, column) for number, column in air.items()}

@@ -96,13 +96,9 @@ def _sunlight(
     scene: Scene, spectrum: Spectrum, geometry: Geometry, at_m: float, touching: NDArray[np.integer]
 ) -> Floats:
     """The sun's irradiance on each face over π, (F, N) [W m⁻²]."""
-    assert scene.air is not None and scene.sun is not None
+    assert scene.sun is not None
     mi, towards = geometry.mi, sun.direction(scene.sun.elevation_deg, scene.sun.azimuth_deg)
-    passed = scene.air.sun_transmittance(at_m, towards[2])
-    points = spectrum.points
-    share = scene.air.shares(sun.BRIGHTNESS_TEMPERATURE_K)[points.node]
-    light = (1.0 - scene.air.cloud_fraction) * sun.irradiance(points.wavelength_um) * points.weight * share
-    light = spectrum.gathered(light * passed[points.node]) / np.pi
+    light = spectrum.gathered(spectrum.points.sunlight(at_m, towards[2])) / np.pi
     rays_of, seen = radiosity.FaceRays(geometry, _SUN_POINTS // 2), np.empty(geometry.face_count)
     if len(touching):
         rays_of.start_in_the_open(contacts.solid(geometry), touching)

@@ -137,9 +137,14 @@ class _Rays:
         distance, valid, face, surface = hit.distance, hit.valid, hit.face, hit.surface
         ray = view_ray(mi, *layers[0].view, *slope)
         slant, way = dr.dot(mi.Vector3f(x, y, z), ray.d), mi.Float(0.0)
+        glint = [mi.Float(0.0) for _ in shown]
         if any(layer.outgoing.directional for layer in layers):
-            added, way = mirrors.correction(layers, mirrors.DEPTH, ray.o, ray.d, distance, place, face, texel, row)
+            at = ray.o, ray.d, distance, place, face, texel, row
+            added, way = mirrors.correction(layers, mirrors.DEPTH, *at)
             shown = [a + b for a, b in zip(shown, added, strict=True)]
+            if baked.plan.sun:
+                sunless, _ = mirrors.correction(layers, mirrors.DEPTH, *at, glint=False)
+                glint = [a - b for a, b in zip(added, sunless, strict=True)]
         lights = [[mi.Float(float(k == channel)) for k in range(channels)] for channel in range(-1, channels)]
         behind = [sum(medium.at_camera(hit, light, ray.o, ray.d)) for light in lights]
         # Of a mirror: whether its image is of what is above the horizon.
@@ -156,6 +161,7 @@ class _Rays:
             sky,
             *corners,
             *shown,
+            *glint,
             *behind,
         ]
         dr.eval(found)
@@ -164,8 +170,10 @@ class _Rays:
         self.distance, self.valid, self.face, self.surface, self.layer, self.cosine, self.kind = arrays[:7]
         self._mirror, self._sky, corners = arrays[7], arrays[8], arrays[9:17]
         self._texel, self._weight = (np.stack(corners[k::2], axis=1) for k in (0, 1))
-        self._shown = np.stack(arrays[17 : 17 + channels], axis=1).astype(np.float64)
-        self.added, *passed = arrays[17 + channels :]
+        self._shown, self._glint = (
+            np.stack(arrays[first : first + channels], axis=1).astype(np.float64) for first in (17, 17 + channels)
+        )
+        self.added, *passed = arrays[17 + 2 * channels :]
         self.weight = np.stack([each - self.added for each in passed], axis=1).astype(np.float64)
         self.kinetic = self._kinetic(self._texel[np.arange(len(order)), self._weight.argmax(axis=1)])
 
@@ -195,7 +203,8 @@ class _Rays:
                 return material.emissivity_at_angle(wavelength, cosine)
 
             parts[0] = spectrum.emitted_at(emissivity, float(self.kinetic[number]), baked.plan.band_um)
-            parts[1 if self._sky[number] else 3] = self._shown[number] - parts[0]
+            parts[2] = self._glint[number]
+            parts[1 if self._sky[number] else 3] = self._shown[number] - parts[0] - parts[2]
             return parts
         if self.layer[number]:
             emits = baked.scene.materials[self.kind[number]].emissivity_at

@@ -6,11 +6,12 @@ from numpy.typing import NDArray
 
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.physics.fresnel import COSINES
+from thermorender.physics.sun import SOLID_ANGLE_SR
 from thermorender.render.air import PathGrid
-from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned
+from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned, opaque_vector
 from thermorender.render.geometry import box_of, farthest
 from thermorender.render.plan import Plan
-from thermorender.render.reflection.reflectance import ReflectanceTables, bent
+from thermorender.render.reflection.reflectance import Glint, ReflectanceTables, bent, facet_variance
 from thermorender.render.spectrum import Spectrum
 from thermorender.scene.scene import Scene
 
@@ -40,6 +41,7 @@ class DeviceTables:
         self._directions = tables.environment.shape[2] - 1
         self._matrix = Channels(mi, tables.matrix.reshape(-1, self.count * (self.count + 1)))
         self._environment = Channels(mi, tables.environment.reshape(-1, self.count))
+        self.glint = None if tables.glint is None else DeviceGlint(mi, tables.glint)
 
     def reflected(self, kind: Jit, cosine: Jit, black: list[Jit], seen: list[Jit], valid: Jit, up: Jit) -> list[Jit]:
         """Return the light that materials reflect into each channel minus that of a blackbody, [Float]. `kind` is the
@@ -48,11 +50,11 @@ class DeviceTables:
         mi, count, lines = self._mi, self.count, self._directions
         own, other = ([*light, bent(self.band(light))] for light in (black, seen))
         light = [dr.select(valid, a, 0.0) - b for a, b in zip(other, own, strict=True)]
-        row, across = self._interval(cosine, len(COSINES))
+        row, across = _interval(mi, cosine, len(COSINES))
         row = row + kind * len(COSINES)
         near, far = (self._matrix.at(row + k) for k in (0, 1))
         matrix = [dr.lerp(a, b, across) for a, b in zip(near, far, strict=True)]
-        column, along = self._interval(up, lines) if lines > 1 else (mi.UInt32(0), mi.Float(0.0))
+        column, along = _interval(mi, up, lines) if lines > 1 else (mi.UInt32(0), mi.Float(0.0))
         # The last column holds the surroundings.
         below, step = up < 0.0, min(lines - 1, 1)
         column, along = dr.select(below, lines, column), dr.select(below, 0.0, along)
@@ -84,13 +86,53 @@ class DeviceTables:
         """Return the band radiance of light given by channels, Float [W m⁻² sr⁻¹]."""
         return sum(weight * value for weight, value in zip(self._weight, light, strict=True))
 
-    def _interval(self, cosine: Jit, count: int) -> tuple[Jit, Jit]:
-        """(lower index, share of the next) in a table at `count` squares of an even grid."""
-        position = dr.sqrt(dr.clip(cosine, 0.0, 1.0)) * (count - 1)
-        lower = dr.minimum(self._mi.UInt32(position), count - 2)
-        grid = self._mi.Float(lower)
-        # Linear in the cosine itself between its squares.
-        return lower, (position * position - grid * grid) / (2.0 * grid + 1.0)
+
+class DeviceGlint:
+    """A Glint on the device."""
+
+    def __init__(self, mi: Mitsuba, glint: Glint) -> None:
+        self._mi, self.towards, self.direction = mi, glint.towards, opaque_vector(mi, glint.towards)
+        self._slope = mi.Float(aligned(glint.slope))
+        self._reflected = Channels(mi, glint.reflected.reshape(-1, glint.reflected.shape[-1]))
+
+    def seen(self, kind: Jit, normal: Jit, view: Jit) -> list[Jit]:
+        """Return the channels of the sun's image in unshadowed materials, [Float], 0 where there is none. `kind` is the
+        row in the tables; `view` points to a surface whose `normal` faces the eye.
+
+        Rough: C. Cox and W. Munk, J. Opt. Soc. Am. 44 (1954) 838, doi:10.1364/JOSA.44.000838, with masking by Smith
+        (1967), doi:10.1109/TAP.1967.1138991, in both directions. Smooth: the disc in the reflected direction.
+        """
+        mi, towards = self._mi, self.direction
+        to_eye, to_sun, slope = -dr.dot(normal, view), dr.dot(normal, towards), dr.gather(mi.Float, self._slope, kind)
+        half = dr.normalize(towards - view)
+        upright = dr.maximum(dr.dot(normal, half), 1e-3)
+        square, variance = upright * upright, facet_variance(slope)
+        facets = dr.exp((square - 1.0) / (square * variance)) / (np.pi * variance)
+        masking = 1.0 + _masking(to_eye, variance) + _masking(to_sun, variance)
+        rough = facets / (4.0 * dr.maximum(to_eye, 1e-4) * square * square * masking)
+        aside = dr.squared_norm(view + 2.0 * to_eye * normal - towards)
+        smooth = dr.select(aside < SOLID_ANGLE_SR / np.pi, 1.0 / SOLID_ANGLE_SR, 0.0)
+        row, across = _interval(mi, dr.dot(half, towards), len(COSINES))
+        row = row + kind * len(COSINES)
+        bright = dr.select(to_sun > 0.0, dr.select(slope > 0.0, rough, smooth), 0.0)
+        near, far = (self._reflected.at(row + k) for k in (0, 1))
+        return [bright * dr.lerp(a, b, across) for a, b in zip(near, far, strict=True)]
+
+
+def _masking(cosine: Jit, variance: Jit) -> Jit:
+    """Smith's function Λ of a direction for Gaussian slopes of a variance, both axes together."""
+    steep = cosine / dr.sqrt(dr.maximum(1.0 - cosine * cosine, 1e-12) * variance)
+    steep = dr.clip(steep, 1e-3, 4.0)
+    return 0.5 * (dr.exp(-steep * steep) / (np.pi**0.5 * steep) - (1.0 - dr.erf(steep)))
+
+
+def _interval(mi: Mitsuba, cosine: Jit, count: int) -> tuple[Jit, Jit]:
+    """(lower index, share of the next) in a table at `count` squares of an even grid."""
+    position = dr.sqrt(dr.clip(cosine, 0.0, 1.0)) * (count - 1)
+    lower = dr.minimum(mi.UInt32(position), count - 2)
+    grid = mi.Float(lower)
+    # Linear in the cosine itself between its squares.
+    return lower, (position * position - grid * grid) / (2.0 * grid + 1.0)
 
 
 def black_of(

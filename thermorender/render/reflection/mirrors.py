@@ -13,7 +13,7 @@ materials need no change.
 A mirror seen in a mirror is a mirror too. The next one shows its baked, diffuse radiance; the error budget follows one
 more reflection to estimate the part left out. The normal is that of the flat face: roughness raises the emissivity at
 grazing angles but does not blur the image. Reflected light passes the air up to the mirror, from the mean altitude of
-the scene's mirrors. Glint of the sun is left out.
+the scene's mirrors. The sun is seen in the first mirror; facets of a rough one spread its image, and nothing else's.
 """
 
 from collections.abc import Sequence
@@ -44,26 +44,26 @@ def met(layer: Layer, hit: Hit, position: tuple[Jit, Jit]) -> tuple[Jit, Jit]:
 
 def correction(
     layers: Sequence[Layer], depth: int, origin: Jit, direction: Jit, distance: Jit, number: Jit, face: Jit, texel: Jit,
-    row: Jit,
+    row: Jit, glint: bool = True,
 ) -> tuple[list[Jit], Jit]:  # fmt: skip
     """Return (channels to add, [Float], distance [m] from a mirror to the point seen in it) for rays in the first
     layer's frame. They hit a face of layer `number` at `distance` [m]; texel and row are from `met`. Mirrors after
-    `depth` reflections are diffuse."""
+    `depth` reflections are diffuse. Without `glint` the sun is not seen in them."""
     directional = next(layer.outgoing.directional for layer in layers if layer.outgoing.directional)
     nothing = tuple(type(distance)(0.0) for _ in range(directional.black.count + 1))
     # A branch: packets whose rays hit no mirror skip this.
     *added, way = dr.if_stmt(
         (origin, direction, distance, number, face, texel, row),
         row > 0,
-        lambda *values: _reflected(layers, depth, *values),
+        lambda *values: _reflected(layers, depth, glint, *values),
         lambda *_: nothing,
     )
     return added, way
 
 
 def _reflected(
-    layers: Sequence[Layer], depth: int, eye: Jit, view: Jit, distance: Jit, number: Jit, face: Jit, texel: Jit,
-    row: Jit,
+    layers: Sequence[Layer], depth: int, glint: bool, eye: Jit, view: Jit, distance: Jit, number: Jit, face: Jit,
+    texel: Jit, row: Jit,
 ) -> tuple[Jit, ...]:  # fmt: skip
     """As `correction`, in one tuple, for rays in the first layer's frame that hit mirror `row` ≥ 1 of layer
     `number`."""
@@ -101,6 +101,13 @@ def _reflected(
         return tables.reflected(kind, cosine, black, seen, valid, direction.z)
 
     reflected = by(seen, length)
+    if glint and tables.glint is not None:
+        sun = tables.glint.seen(kind, normal, view)
+        free = ~first.geometry.caster.ray_test(mi.Ray3f(origin, tables.glint.direction), coherent=True)
+        lit = dr.select(free, 1.0, 0.0)
+        if first.geometry.crowns is not None:
+            lit = dr.select(free, first.geometry.crowns_passed(origin, tables.glint.towards, free), 0.0)
+        reflected = [value + lit * more for value, more in zip(reflected, sun, strict=True)]
     if first.geometry.crowns is not None:
         walk = partial(first.geometry.crowns.walk, coherent=True)
         leaves = along(first.geometry, first.outgoing, mi.Ray3f(origin, direction), length, walk)
@@ -125,7 +132,7 @@ def _seen(layers: Sequence[Layer], depth: int, origin: Jit, direction: Jit) -> t
     away: Jit = dr.select(hit.valid, hit.distance, np.inf)
     further: Jit = 0.0
     if depth:
-        added, further = correction(layers, depth, origin, direction, away, number, hit.face, texel, row)
+        added, further = correction(layers, depth, origin, direction, away, number, hit.face, texel, row, glint=False)
         seen = [a + b for a, b in zip(seen, added, strict=True)]
     # The sky in a mirror has a depth other than the sky beside it, so their edge is found.
     return seen, away, away + dr.minimum(further, _SKY_IN_MIRROR_M)

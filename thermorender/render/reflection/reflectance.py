@@ -9,8 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.materials.material import Material
-from thermorender.physics.fresnel import COSINES
-from thermorender.physics.planck import band_radiance_derivative, kelvin_per_radiance
+from thermorender.physics.fresnel import COSINES, smooth_emissivity
+from thermorender.physics.planck import (
+    band_radiance,
+    band_radiance_derivative,
+    brightness_temperature,
+    kelvin_per_radiance,
+)
+from thermorender.physics.sun import SOLID_ANGLE_SR, direction
 from thermorender.render.air import altitude
 from thermorender.render.arrays import Floats
 from thermorender.render.geometry import farthest
@@ -45,6 +51,30 @@ class ReflectanceTables:
     effect_mk: float
     error_mk: float  # largest error of `matrix`, over the envelope's light up to 80° [mK]
     at_m: float  # mean altitude of the mirrors above sea level [m]
+    glint: "Glint | None"  # of the sun, where it shines
+
+
+@dataclass(frozen=True)
+class Glint:
+    """The sun as directional materials reflect it."""
+
+    towards: Floats  # (3,) to the sun
+    slope: Floats  # (D,) root mean square slope of the facets, 0 for a mirror
+    # (D, 257, K) irradiance that facets reflect into each channel, by the cosine of incidence [W m⁻²]
+    reflected: Floats
+
+    def brightest(self, weight: Floats) -> float:
+        """Return the largest band radiance that a material shows up to 80°; `weight` (K,) of the channels."""
+        peak = np.where(self.slope > 0.0, 0.25 / (np.pi * facet_variance(self.slope)), 1.0 / SOLID_ANGLE_SR)
+        return float((peak[:, None] * (self.reflected[:, _JUDGED] @ weight)).max() / _GRAZING)
+
+
+def facet_variance(slope: Any) -> Any:
+    """Return the variance of the facets' slopes, both axes together, with the half-width of the sun's disc in it.
+
+    A uniform disc of radius R has the variance R²/2, and a facet turns by half of what its reflection does.
+    """
+    return slope * slope + SOLID_ANGLE_SR / (8.0 * np.pi)
 
 
 def directional(materials: Sequence[Material]) -> list[int]:
@@ -78,7 +108,29 @@ def make_tables(scene: Scene, spectrum: Spectrum, envelope: Envelope) -> Reflect
     weight = spectrum.solver.sum(axis=0)
     effect_mk, error_mk = (max(getattr(case, name) for case in cases) for name in ("effect_mk", "error_mk"))
     at_m = float(np.mean([at_m for at_m, *_ in seen.values()]))
-    return ReflectanceTables(row, matrix, environment, weight, effect_mk, error_mk, at_m)
+    glint = None
+    if envelope.sun_cosine is not None:
+        assert scene.sun is not None
+        towards = direction(scene.sun.elevation_deg, scene.sun.azimuth_deg)
+        own = [scene.materials[number] for number in seen]
+        light = points.sunlight(at_m, envelope.sun_cosine) * spectrum.basis[:, points.node]
+        reflected = np.stack([_facets(each, points.wavelength_um) @ light.T for each in own])
+        glint = Glint(towards, np.array([each.rms_slope for each in own]), reflected)
+        bright = brightness_temperature(
+            band_radiance(REFERENCE_K, *envelope.band_um) + glint.brightest(weight), *envelope.band_um
+        )
+        effect_mk = max(effect_mk, 1e3 * (bright - REFERENCE_K))
+    return ReflectanceTables(row, matrix, environment, weight, effect_mk, error_mk, at_m, glint)
+
+
+def _facets(material: Material, wavelength_um: Floats) -> Floats:
+    """Reflectance of single facets of a material by the cosine of incidence, (257, Q)."""
+    if not material.rms_slope:
+        return 1.0 - material.emissivity_at_angle(wavelength_um, COSINES[:, None])
+    # The material's own emissivity is the mean over facets.
+    rows = np.loadtxt(material.table.splitlines(), delimiter=",", skiprows=1)
+    n, k = (np.interp(wavelength_um, rows[:, 0], rows[:, column]) for column in (1, 2))
+    return 1.0 - smooth_emissivity(COSINES[:, None], n, k)
 
 
 class _MaterialFit:

@@ -1,0 +1,133 @@
+"""The sun in mirrors: its disc in a smooth one, and its spread image in rough water against facets drawn at random."""
+
+import air_by_steps
+import numpy as np
+import pytest
+
+import thermorender as tr
+from scenes import plane, scene_object, write_mesh
+from thermorender.physics import sun
+from thermorender.physics.fresnel import smooth_emissivity
+from thermorender.physics.planck import spectral_radiance
+from thermorender.render.plan import make_plan
+
+AIR = '[atmosphere]\nstandard = "midlatitude-summer"\n'
+SUN = "[sun]\nelevation_deg = {}\nazimuth_deg = 0.0\n"
+DISC_RAD = np.sqrt(sun.SOLID_ANGLE_SR / np.pi)
+
+
+def water(folder, material, elevation_deg, extra=""):
+    """The frames' differences, with and without the sun, of level water: a function of the pose, and the lit Scene."""
+    renderers = []
+    for name, more in (("dark", ""), ("lit", SUN.format(elevation_deg))):
+        write_mesh(folder / name, plane(4000.0), 290.0, extra=more + extra)
+        path = folder / name / "scene.toml"
+        text = path.read_text().replace(
+            'source = "constant"\nvalue = 0.9', f'source = "material"\nmaterial = "{material}"'
+        )
+        path.write_text(text.replace("[sky]\ntemperature = 250.0\n", AIR))
+        renderers.append(tr.Renderer(tr.load_scene(folder / name), samples=4))
+    return lambda pose: renderers[1].radiance(pose) - renderers[0].radiance(pose), renderers[1].scene
+
+
+def refractive_index(scene, wavelength):
+    """(n, k) at wavelengths of the scene's first material, as tabulated."""
+    rows = np.loadtxt(scene.materials[0].table.splitlines(), delimiter=",", skiprows=1)
+    return [np.interp(wavelength, rows[:, 0], rows[:, column]) for column in (1, 2)]
+
+
+def image_of_the_sun(scene, elevation_deg, height_m, cosine, incidence):
+    """Radiance of the disc [W m⁻² sr⁻¹] that a facet reflects at a cosine of incidence, through the air up to a camera
+    that looks down at `cosine`: summed over nodes and wavelengths."""
+    air, total = scene.air, 0.0
+    down, _ = air_by_steps.outward(air, 0.0, np.sin(np.radians(elevation_deg)))
+    up, _ = air_by_steps.between(air, height_m, 0.0, height_m / cosine)
+    for lower, upper in sorted({*zip(air.lower_um, air.upper_um, strict=True)}):
+        node, weight = np.polynomial.legendre.leggauss(32)
+        wavelength, weight = lower + 0.5 * (upper - lower) * (1.0 + node), 0.5 * (upper - lower) * weight
+        n, k = refractive_index(scene, wavelength)
+        bright = spectral_radiance(wavelength, sun.brightness_temperature(wavelength)) * weight
+        own = air.lower_um == lower
+        share = air_by_steps.planck(air, 5500.0)[0, own]
+        passed = (down * up)[own] @ share / share.sum()
+        total += passed * bright @ (1.0 - smooth_emissivity(incidence, n, k))
+    return float(total)
+
+
+@pytest.mark.parametrize("elevation_deg", [25.0, 50.0])
+def test_still_water_shows_the_disc_where_it_reflects_it(tmp_path, elevation_deg):
+    more, scene = water(tmp_path, "water_fresnel", elevation_deg)
+    image = more(tr.pose(0, 0, 100.0, yaw_deg=0.0, pitch_deg=-elevation_deg))
+    row, column = np.mgrid[: image.shape[0], : image.shape[1]] + 0.5
+    local = scene.camera.directions(np.stack([column, row], axis=-1).reshape(-1, 2)).reshape(*image.shape, -1)
+    # From the axis, on which the disc is.
+    off = np.arctan(np.hypot(local[..., 0], local[..., 1]))
+    pixel = 1.0 / scene.camera.focal_length_px
+    inside, outside = off < DISC_RAD - 1.5 * pixel, off > DISC_RAD + 1.5 * pixel
+    sine = np.sin(np.radians(elevation_deg))
+    wanted = image_of_the_sun(scene, elevation_deg, 100.0, sine, sine)
+    # Solar weights of the nodes, and a table of 257 angles.
+    assert inside.sum() > 10 and np.abs(image[inside] / wanted - 1.0).max() < 0.01
+    # What is left is diffuse light of the sun on the surroundings: none.
+    assert np.abs(image[outside]).max() < 1e-4 * wanted
+    # All of the disc: its solid angle in pixels.
+    assert image.sum() / wanted == pytest.approx(sun.SOLID_ANGLE_SR / pixel**2, rel=0.03)
+
+
+@pytest.mark.parametrize(("elevation_deg", "pitch_deg"), [(50.0, -55.0), (35.0, -35.0), (60.0, -40.0)])
+def test_rough_water_spreads_the_disc_as_facets_drawn_at_random(tmp_path, elevation_deg, pitch_deg):
+    more, scene = water(tmp_path, "water_breeze", elevation_deg)
+    image = more(tr.pose(0, 0, 100.0, yaw_deg=0.0, pitch_deg=pitch_deg))
+    slope = scene.materials[0].rms_slope
+    assert 0.1 < slope < 0.3
+    random, towards = np.random.default_rng(5), sun.direction(elevation_deg, 0.0)
+    # Slopes by their density in the plane; light that meets a facet is by the area that it shows to the sun.
+    slopes = random.normal(0.0, slope / np.sqrt(2.0), (4_000_000, 2))
+    normal = np.column_stack([-slopes, np.ones(len(slopes))])
+    met = normal @ towards
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    incidence = normal @ towards
+    reflected = 2.0 * incidence[:, None] * normal - towards
+    seen = -tr.pose(0, 0, 100.0, yaw_deg=0.0, pitch_deg=pitch_deg)[:3, 2]
+    near = (reflected @ seen > np.cos(0.03)) & (met > 0.0)
+    # Irradiance of the level plane in the cone, over its solid angle and the cosine of the view.
+    share = met[near].sum() / len(slopes) / (2.0 * np.pi * (1.0 - np.cos(0.03))) / seen[2]
+    error = 1.0 / np.sqrt(near.sum())
+    half = towards + seen
+    cosine = float(half / np.linalg.norm(half) @ towards)
+    disc = image_of_the_sun(scene, elevation_deg, 100.0, seen[2], cosine)
+    wanted = disc * sun.SOLID_ANGLE_SR * share
+    found = float(image[256, 320])
+    # Facets hide one another: less than 3 % in these views.
+    assert near.sum() > 1000 and found == pytest.approx(wanted, rel=0.03 + 3.0 * error)
+
+
+def test_a_roof_shades_the_image_of_the_sun(tmp_path):
+    # Between the water at the middle of the view and the sun in the north, 20 m up.
+    roof = scene_object("roof", [60, 20, 0.2], [0, 101.0, 20.0], 290.0)
+    shaded, _ = water(tmp_path / "shaded", "water_breeze", 45.0, roof)
+    free, _ = water(tmp_path / "free", "water_breeze", 45.0)
+    pose = tr.pose(0, 0, 100.0, yaw_deg=0.0, pitch_deg=-50.0)
+    # The water 84 m ahead, whose light would come through the roof.
+    one, other = shaded(pose), free(pose)
+    assert other[256, 320] > 0.0 and abs(one[256, 320]) < 0.02 * other[256, 320]
+    assert one[500, 10] == pytest.approx(other[500, 10], rel=0.05)
+
+
+def test_the_sun_adds_to_the_part_of_the_sun(tmp_path):
+    more, scene = water(tmp_path, "water_breeze", 50.0)
+    pose = tr.pose(0, 0, 100.0, yaw_deg=0.0, pitch_deg=-50.0)
+    found = tr.Renderer(scene).parts_at(pose, [[256, 320]])[0]
+    assert float(found.radiance["sun"]) == pytest.approx(float(more(pose)[256, 320]), rel=0.02)
+
+
+def test_a_plan_leaves_a_mirror_out_only_where_it_and_the_sun_in_it_do_not_matter(tmp_path):
+    _, scene = water(tmp_path, "water_breeze", 50.0)
+    lit, dark = make_plan(scene), make_plan(replace_sun(scene))
+    assert lit.specular is not None and lit.specular.glint is not None and lit.sun
+    assert dark.specular is None or dark.specular.glint is None
+
+
+def replace_sun(scene):
+    """The scene without its sun."""
+    return tr.load_scene(scene.spec.folder.parent / "dark")
