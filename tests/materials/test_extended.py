@@ -8,6 +8,7 @@ import pytest
 import thermorender as tr
 from scenes import CAMERA, NARROW, write_terrain
 from thermorender.errors import ThermorenderError
+from thermorender.materials import extended
 from thermorender.materials.extended import assumptions, missing, within_band
 from thermorender.materials.library import load_library
 from thermorender.materials.material import grey
@@ -67,6 +68,31 @@ def test_what_cannot_be_assumed_is_refused():
         ThermorenderError, match=r"lacks 8% of the band 7\.5–13\.5 µm, and the library has no materials"
     ):
         within_band(LIBRARY["tarmac"], BAND, alone, "here")
+
+
+@pytest.mark.parametrize("band", [(3.7, 4.8), (3.1, 4.8)])
+def test_nothing_is_assumed_in_the_mid_wave(band):
+    """At either end, however small the missing share."""
+    asphalt, lower = LIBRARY["asphalt"], band[0] + 0.05
+    for material, covered in ((LIBRARY["tarmac"], "8–14"), (cut(asphalt, lower, 14.0), f"{lower:g}–14"),
+                              (cut(asphalt, 3.0, 4.75), "3–4.75")):  # fmt: skip
+        words = rf"'{material.name}' was asked .* {band[0]}–4.8 µm but was measured over {covered} µm only; choose"
+        with pytest.raises(ThermorenderError, match=words):
+            within_band(material, band, LIBRARY, "here")
+    assert within_band(asphalt, band, LIBRARY, "here") is asphalt
+
+
+def test_in_sunlight_the_mid_wave_is_predicted_worse(monkeypatch):
+    """The figures for which nothing is assumed there."""
+    monkeypatch.setattr(extended, "SHORTEST_ASSUMED_UM", 0.0)
+    band, errors = (3.7, 4.8), []
+    known = [each for each in LIBRARY.values() if not missing(each, band) and each.directional == "lambertian"]
+    for material in known:
+        made = within_band(cut(material, 4.0, 4.8), band, LIBRARY, "here")
+        errors.append([made.band_emissivity(*band, t) - material.band_emissivity(*band, t) for t in (300.0, 5778.0)])
+    rms = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert len(known) == 58 and rms == pytest.approx([0.0015, 0.0050], abs=5e-5)
+    assert np.abs(errors).max() == pytest.approx(0.017, abs=5e-4)
 
 
 def test_a_scene_states_what_it_assumes(tmp_path):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from support import shared_data
 
+from thermorender.apps.material_tables.compare import covers
 from thermorender.apps.material_tables.from_samples import from_samples, read_selection
 from thermorender.apps.material_tables.samples import read_ecostress, read_sample
 from thermorender.errors import ThermorenderError
@@ -79,14 +80,27 @@ def raw_slum(folder, reference):
 
 def test_library_has_fifty_materials_and_keeps_the_first_names(library):
     assert len(library) >= 50 and set(FIRST_NAMES) <= set(library)
-    # Usable with the shipped cameras of 7.5–13.5 µm.
-    assert sum(m.valid_range_um[0] <= 7.5 and m.valid_range_um[1] >= 13.5 for m in library.values()) >= 50
+
+
+def test_the_pages_state_which_tables_cover_a_band(library):
+    page = (data_folder("materials") / "README.md").read_text("utf-8")
+    guide = (Path(__file__).parents[2] / "docs" / "guides" / "materials.md").read_text("utf-8")
+    bands = ((7.5, 13.5), (3.7, 4.8), (3.1, 4.8))
+    without = [sorted(name for name, material in library.items() if not covers(material, band)) for band in bands]
+    counts = [len(library) - len(names) for names in without]
+    for (lower, upper), count in zip(bands, counts, strict=True):
+        assert f"| {lower:g}–{upper:g} µm | {count} |" in page
+    assert f"of {len(library)} |" in page and without[1] == without[2]
+    assert f"Without the mid-wave: {', '.join(f'`{name}`' for name in without[1])}." in page
+    words = f"{counts[0]} of the tables cover the 7.5–13.5 µm of the shipped cameras, and {counts[2]} the mid-wave"
+    assert words in guide
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_shipped_material_is_complete(library, name):
     material = library[name]
     first, last = material.valid_range_um
+    assert (first <= 3.0 or name == "silica_fused") == (".spectrum.txt" in material.source or ".yml" in material.source)
     assert first <= 8.0 and last >= 12.5 and not material.gaps_um
     if first > 7.0 or last < 14.0:
         assert "refuses it" in material.note
@@ -157,6 +171,25 @@ def test_table_equals_independent_integration_of_its_samples(library, spectra, s
             assert material.band_emissivity(*band, 300.0) == pytest.approx(expected, abs=1e-6), band
 
 
+@pytest.mark.parametrize("name", [name for name in MEASURED if LIBRARY[name].valid_range_um[0] <= 3.0])
+def test_mid_wave_equals_independent_integration_of_its_samples(library, spectra, name):
+    """In a surface's own light and in reflected sunlight; below 8 µm the mean is over the samples from ECOSTRESS."""
+    material = library[name]
+    files = [part.rpartition(": ")[2] for part in material.source.split("; ")]
+    raw = [raw_spectrum(spectra / file) for file in files if "#" not in file]
+    for *band, within in ((3.5, 5.0, 1e-5), (3.7, 4.8, 2e-4), (3.1, 4.8, 2e-4), (3.0, 3.2, 5e-4)):
+        for temperature in (300.0, 5778.0):
+            expected = np.mean([band_emissivity(*spectrum, *band, temperature) for spectrum in raw])
+            assert material.band_emissivity(*band, temperature) == pytest.approx(expected, abs=within), band
+
+
+def test_spread_is_unknown_where_the_band_has_a_single_sample(library):
+    """One clay tile was measured below 8 µm, and eight from there on."""
+    tile = library["roof_tile_clay"]
+    assert np.isnan(tile.band_emissivity_std(3.7, 4.8, 300.0)) and tile.band_emissivity_std(7.5, 13.5, 300.0) > 0.005
+    assert np.isnan(library["tarmac"].band_emissivity_std(3.7, 4.8, 300.0))
+
+
 def test_reader_reproduces_the_published_value_of_every_selected_sample(spectra):
     with open(shared_data("emissivity/curated_materials.csv"), encoding="utf-8") as file:
         published = {row["ecostress_file"]: row for row in csv.DictReader(file)}
@@ -206,10 +239,10 @@ def test_interpolation_is_exact_at_the_nodes_and_linear_between(library):
 
 @pytest.mark.parametrize(
     ("asked", "words"),
-    [(14.5, "14.5 µm"), ([3.0, 8.0], "3–8 µm"), (np.nan, "NaN"), (14.0 + 1e-6, "14 µm")],
+    [(14.5, "14.5 µm"), ([2.9, 8.0], "2.9–8 µm"), (np.nan, "NaN"), (14.0 + 1e-6, "14 µm")],
 )
 def test_unmeasured_wavelengths_are_refused(library, asked, words):
-    with pytest.raises(ThermorenderError, match=r"'water'.* was measured over 3.2–14 µm only") as error:
+    with pytest.raises(ThermorenderError, match=r"'water'.* was measured over 3–14 µm only") as error:
         library["water"].emissivity_at(asked)
     assert words in str(error.value)
 
@@ -257,7 +290,7 @@ def test_grey_is_constant_at_all_wavelengths():
 
 def test_printed_material_names_source_and_range(library):
     text = str(library["granite"])
-    for words in ("granite: Granite", "3.2–14 µm", "at 9.", "2 samples", "10.1016", "free, cite", "K by day"):
+    for words in ("granite: Granite", "3–14 µm", "at 9.", "2 samples", "10.1016", "free, cite", "K by day"):
         assert words in text
     assert "unknown, one sample" in str(library["glass"])
 

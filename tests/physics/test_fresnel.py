@@ -150,16 +150,21 @@ def test_wrong_slopes_are_refused():
 
 
 @pytest.mark.parametrize(
-    ("name", "file", "tolerance"),
+    ("name", "file", "range_um", "tolerance"),
     [
-        ("water_fresnel", "water.tapwater.none.liquid.all.tapwater.jhu.becknic.spectrum.txt", 0.003),
-        ("water_fresnel", "water.seawater.none.liquid.tir.seawater.jhu.becknic.spectrum.txt", 0.004),
-        ("ice_fresnel", "water.ice.none.solid.all.ice_dat_.jhu.becknic.spectrum.txt", 0.001),
+        ("water_fresnel", "water.tapwater.none.liquid.all.tapwater.jhu.becknic.spectrum.txt", (7.0, 14.0), 0.003),
+        ("water_fresnel", "water.seawater.none.liquid.tir.seawater.jhu.becknic.spectrum.txt", (7.0, 14.0), 0.004),
+        ("ice_fresnel", "water.ice.none.solid.all.ice_dat_.jhu.becknic.spectrum.txt", (7.0, 14.0), 0.001),
+        ("water_fresnel", "water.tapwater.none.liquid.all.tapwater.jhu.becknic.spectrum.txt", (3.0, 4.8), 0.003),
+        ("water_fresnel", "water.seawater.none.liquid.tir.seawater.jhu.becknic.spectrum.txt", (3.0, 4.8), 0.003),
+        ("ice_fresnel", "water.ice.none.solid.all.ice_dat_.jhu.becknic.spectrum.txt", (3.0, 4.8), 0.004),
+        ("glass_fresnel", "manmade.generalconstructionmaterial.glas.solid.all.0796uuugls.jhu.becknic.spectrum.txt",
+         (3.0, 4.8), 0.004),
     ],
-)
-def test_optical_constants_give_the_measured_emissivity_at_10_degrees(library, name, file, tolerance):
+)  # fmt: skip
+def test_optical_constants_give_the_measured_emissivity_at_10_degrees(library, name, file, range_um, tolerance):
     wavelength, emissivity = measured(file)
-    inside = (wavelength >= 7.0) & (wavelength <= 14.0)
+    inside = (wavelength >= range_um[0]) & (wavelength <= range_um[1])
     found = library[name].emissivity_at_angle(wavelength[inside], np.cos(np.radians(10.0)))
     np.testing.assert_allclose(found, emissivity[inside], atol=tolerance)
 
@@ -214,10 +219,32 @@ def test_shipped_constants_match_the_papers(library, name, file):
     wavelength, n, k = optical_constants(file)
     low, high = library[name].valid_range_um
     inside = (wavelength >= low) & (wavelength <= high)
-    assert low <= 7.0 and high >= 15.0 and inside.sum() >= 6
+    assert low <= (7.0 if name == "silica_fused" else 3.0) and high >= 15.0 and inside.sum() >= 14
     expected = 4.0 * n / ((n + 1.0) ** 2 + k**2)
     found = library[name].emissivity_at_angle(wavelength[inside], 1.0)
     np.testing.assert_allclose(found, expected[inside], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [("water_fresnel", "H2O-Hale.yml"), ("ice_fresnel", "H2O-Warren-2008.yml"), ("gold_polished", "Au-Ordal.yml"),
+     ("iron_polished", "Fe-Ordal.yml")],
+)  # fmt: skip
+def test_reflectance_between_the_papers_rows(library, name, file):
+    """Along the normal at every nanometre of 3–8 µm, with n and k linear between the paper's rows."""
+    wavelength, n, k = optical_constants(file)
+    fine = np.linspace(3.0, 8.0, 5001)
+    index = np.interp(fine, wavelength, n) + 1j * np.interp(fine, wavelength, k)
+    expected = abs((index - 1.0) / (index + 1.0)) ** 2
+    np.testing.assert_allclose(1.0 - library[name].emissivity_at_angle(fine, 1.0), expected, atol=1e-4)
+
+
+def test_glass_is_clear_glass_below_5_um(library):
+    """Rubin's formula for clear soda-lime glass, 0.31–4.6 µm; k is below 0.001 there."""
+    wavelength = np.linspace(3.0, 4.6, 161)
+    n = 1.5130 - 0.003169 * wavelength**2 + 0.003962 / wavelength**2
+    found = library["glass_fresnel"].emissivity_at_angle(wavelength, 1.0)
+    np.testing.assert_allclose(1.0 - found, ((n - 1.0) / (n + 1.0)) ** 2, atol=5e-5)
 
 
 def test_rough_emissivity_does_not_depend_on_the_number_of_threads():

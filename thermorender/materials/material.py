@@ -194,7 +194,7 @@ class Material:
         return upper * (1.0 - down) + lower * down
 
     def band_emissivity_std(self, lower_um: float, upper_um: float, temperature: float) -> float:
-        """Return the standard deviation of the band emissivity [1], NaN for a single sample.
+        """Return the standard deviation of the band emissivity [1], NaN for a single sample within the band.
 
         Errors at different wavelengths are taken as fully correlated, which is an upper bound.
         """
@@ -203,7 +203,7 @@ class Material:
         wavelength, weight = quadrature(lower_um, upper_um)
         weight = weight * spectral_radiance(wavelength, temperature)
         known = np.isfinite(self.emissivity_std)
-        if not known.any():
+        if not known[(self.wavelength_um >= lower_um) & (self.wavelength_um <= upper_um)].any():
             return float("nan")
         std = np.interp(wavelength, self.wavelength_um[known], self.emissivity_std[known])
         return float(std @ weight / weight.sum())

@@ -80,6 +80,8 @@ def test_plot_writes_a_picture_of_spectra_and_angles(run, tmp_path):
     sizes = [struct.unpack(">II", (tmp_path / name).read_bytes()[16:24]) for name in ("flat.png", "angle.png")]
     # The second panel is drawn when something depends on angle.
     assert sizes[1][0] > 1.4 * sizes[0][0] > 1000
+    # Fused silica is not measured there: no curve by angle.
+    assert run("plot", "silica_fused", "water_fresnel", "--band", "3.7,4.8", "-o", tmp_path / "angle.png")[0] == 0
 
 
 # --- check ------------------------------------------------------------------------------------------------

@@ -115,7 +115,7 @@ def test_mean_and_spread_over_samples_in_either_order(tmp_path):
         ecostress_file(tmp_path / "b.txt", fine, 12.0 + fine),
     ]
     rock = from_samples([read_ecostress(path) for path in paths], "rock", title="Rock", temperature=301.0)
-    np.testing.assert_allclose(rock.wavelength_um, np.arange(64, 281) * 0.05)
+    np.testing.assert_allclose(rock.wavelength_um, np.arange(60, 281) * 0.05)
     np.testing.assert_allclose(rock.emissivity[1:-1], 0.89 - rock.wavelength_um[1:-1] / 100, atol=1e-6)
     np.testing.assert_allclose(rock.emissivity_std[1:-1], np.sqrt(2.0) * 0.01, atol=2e-6)
     assert rock.samples == 2 and rock.source.endswith("a.txt; b.txt")
@@ -144,7 +144,7 @@ def test_samples_without_usable_emissivity_are_refused(tmp_path):
         with pytest.raises(ThermorenderError, match=words):
             from_samples([read_ecostress(path)], "rock", solar_absorptance=solar)
 
-    refused(r"less than two steps of 0.05 µm in common within 3.2–15 µm", wavelength=np.linspace(0.4, 2.5, 99))
+    refused(r"less than two steps of 0.05 µm in common within 3–15 µm", wavelength=np.linspace(0.4, 2.5, 99))
     refused(r"measured as 'Bidirectional'; .* leave the sample out", measurement="Bidirectional")
     refused(r"has reflectance -0.5 % at .* outside 0…100 % at", percent=-0.5)
     refused(r"no sample of material 'rock' covers 0.42–2.5 µm.*give an assumed value", solar=None)
@@ -155,20 +155,51 @@ def test_samples_without_usable_emissivity_are_refused(tmp_path):
 
 
 def test_libraries_that_end_at_different_wavelengths_make_one_table(tmp_path):
-    """Over 7–14 µm the mean is over the samples that extend there, and the note gives their number."""
+    """Over 3–14 µm the mean is over the samples that extend there, and the note gives their number."""
     samples = [
         read_ecostress(ecostress_file(tmp_path / "a.txt", np.linspace(3.0, 12.5, 400), np.full(400, 10.0))),
         read_ecostress(ecostress_file(tmp_path / "b.txt", np.linspace(8.0, 14.2, 400), np.full(400, 20.0))),
     ]
     rock = from_samples(samples, "rock", solar_absorptance=0.5)
-    assert rock.valid_range_um == (7.0, 14.0)
-    np.testing.assert_allclose(rock.emissivity_at([7.5, 10.0, 13.0]), [0.9, 0.85, 0.8], atol=1e-9)
-    assert "samples: 1 over 7–7.95 µm, 2 over 8–12.5 µm, 1 over 12.55–14 µm" in rock.note
+    assert rock.valid_range_um == (3.0, 14.0)
+    np.testing.assert_allclose(rock.emissivity_at([4.0, 7.5, 10.0, 13.0]), [0.9, 0.9, 0.85, 0.8], atol=1e-9)
+    assert "samples: 1 over 3–7.95 µm, 2 over 8–12.5 µm, 1 over 12.55–14 µm" in rock.note
     assert np.isnan(rock.emissivity_std[0])
     apart = read_ecostress(ecostress_file(tmp_path / "c.txt", np.linspace(9.0, 14.2, 400), np.full(400, 20.0)))
     short = read_ecostress(ecostress_file(tmp_path / "d.txt", np.linspace(6.0, 8.0, 400), np.full(400, 20.0)))
     with pytest.raises(ThermorenderError, match=r"no sample of material 'rock' covers 8.05 µm, between those that do"):
         from_samples([apart, short], "rock", solar_absorptance=0.5)
+
+
+def test_rows_below_the_seam_change_no_other(tmp_path):
+    """The seam is 3.2 µm, or 7 µm with a sample that begins above."""
+    wavelength = np.linspace(2.9, 14.3, 2281)
+    percent = 20.0 + 5.0 * np.sin(7.0 * wavelength) + 3.0 * np.cos(31.0 * wavelength)
+    late = read_ecostress(ecostress_file(tmp_path / "c.txt", np.linspace(8.0, 14.2, 400), np.full(400, 20.0)))
+    for seam, others in ((3.2, []), (7.0, [late])):
+        for first in (0.0, seam - 1e-6):
+            kept = wavelength >= first
+            ecostress_file(tmp_path / f"{first:g}.txt", wavelength[kept], percent[kept])
+        whole, part = (
+            from_samples([read_ecostress(tmp_path / f"{first:g}.txt"), *others], "rock", solar_absorptance=0.5)
+            for first in (0.0, seam - 1e-6)
+        )
+        assert (whole.wavelength_um[0], part.wavelength_um[0]) == (3.0, seam)
+        np.testing.assert_array_equal(whole.emissivity[whole.wavelength_um >= seam], part.emissivity)
+        short = whole.wavelength_um < seam
+        truth = 0.8 - 0.05 * np.sin(7.0 * whole.wavelength_um[short]) - 0.03 * np.cos(31.0 * whole.wavelength_um[short])
+        np.testing.assert_allclose(whole.emissivity[short], truth, atol=0.012)
+
+
+@pytest.mark.parametrize(("least", "first"), [(-0.9, 3.0), (-1.1, 3.2)])
+def test_a_table_begins_where_noise_ends(tmp_path, least, first):
+    """Noise of 1 % reflectance beyond 0…100 % averages out near 3 µm; a table begins above any larger."""
+    wavelength = np.round(np.arange(2.5, 14.3, 0.002), 3)
+    percent = np.where(wavelength == 3.1, least, 1.2)
+    rock = from_samples(
+        [read_ecostress(ecostress_file(tmp_path / "a.txt", wavelength, percent))], "rock", solar_absorptance=0.5
+    )
+    assert rock.wavelength_um[0] == first and abs(rock.emissivity - 0.988).max() < 0.0015
 
 
 def test_gaps_of_a_sample_are_not_interpolated(tmp_path):

@@ -29,9 +29,11 @@ SELECTION_COLUMNS = (
 
 # Range that a table should cover: every LWIR camera's band with a margin.
 WANTED_RANGE_UM = (7.0, 14.0)
-# Range of a table if the samples cover it. Near 3 µm several Nicolet spectra are noise around zero and become negative;
-# above 15 µm there are too few.
-KEPT_RANGE_UM = (3.2, 15.0)
+# Range of a table if the samples cover it: from the mid-wave to where samples become few.
+KEPT_RANGE_UM = (3.0, 15.0)
+# Rows from here on are fitted without those below, so that the mid-wave changes no other row. Below, weak samples are
+# noise around zero: a step of the table averages 25 points of up to this reflectance beyond 0…1.
+_SEAM_UM, _NOISE = 3.2, 0.01
 STEP_UM = 0.05
 # A spectrum may fall short of the table's ends by this much, a quarter of the finest instrument's resolution (4 cm⁻¹ at
 # 8 µm): SLUM, stated as 8–14 µm, has its first and last points at 8.002 and 13.996 µm.
@@ -58,11 +60,11 @@ def from_samples(
 ) -> Material:  # fmt: skip
     """Return the Material with the mean emissivity of measured samples.
 
-    Samples are resampled to steps of 0.05 µm before the mean and standard deviation. The table covers the common range
-    of all samples within 3.2–15 µm, extended towards 7–14 µm by those that cover more; there the mean is over fewer
-    samples, as the note records. `solar_absorptance` is by default one minus the sunlight-weighted reflectance of the
-    samples that cover the solar range, and its standard deviation that over them if they are three or more. Source,
-    citation and licence are known for ECOSTRESS and SLUM.
+    Samples are resampled to steps of 0.05 µm before the mean and standard deviation. The table begins with the first
+    sample, from 3 µm on, and ends with the range of all samples, or at 14 µm if that ends before and one reaches it.
+    Where some samples are missing the mean is over fewer, as the note records. `solar_absorptance` is by default one
+    minus the sunlight-weighted reflectance of the samples that cover the solar range, and its standard deviation that
+    over them if they are three or more. Source, citation and licence are known for ECOSTRESS and SLUM.
     """
     if not samples:
         raise ThermorenderError(f"material {name!r} has no sample; give at least one spectrum file")
@@ -201,11 +203,20 @@ def _resampled(samples: Sequence[Sample], name: str) -> tuple[Floats, Floats]:
     """Return the wavelengths (N,) [µm] and the emissivity of each sample, (samples, N), NaN where not covered."""
     grid = _common_grid(samples, name)
     tables = np.full((len(samples), grid.size), np.nan)
+    # Samples of several libraries meet at 7 µm.
+    seam = max(_SEAM_UM, min(WANTED_RANGE_UM[0], max(sample.wavelength_um[0] for sample in samples)))
     for sample, table in zip(samples, tables, strict=True):
         low, high = sample.wavelength_um[[0, -1]]
         covered = (grid >= low - SLACK_UM) & (grid <= high + SLACK_UM)
-        _check_sample(sample, name, *grid[covered][[0, -1]])
-        table[covered] = _on_grid(sample.wavelength_um, 1.0 - sample.reflectance, grid[covered])
+        rows = grid[covered]
+        _check_sample(sample, name, *rows[[0, -1]])
+        below = int(np.count_nonzero(rows < seam - SLACK_UM))
+        below = below if rows.size - below > 1 else 0
+        fitted = _on_grid(sample.wavelength_um, 1.0 - sample.reflectance, rows[below:])
+        if below:
+            head = _on_grid(sample.wavelength_um, 1.0 - sample.reflectance, rows[: below + 1], fitted[0])
+            fitted = np.concatenate([head, fitted[1:]])
+        table[covered] = fitted
     missing = ~np.isfinite(tables).any(axis=0)
     if missing.any():
         raise ThermorenderError(
@@ -224,9 +235,9 @@ def is_refractive_index(path: Path) -> bool:
 
 
 def _common_grid(samples: Sequence[Sample], name: str) -> Floats:
-    """Return the table's wavelengths [µm]: the common range of all samples, extended towards 7–14 µm by some."""
+    """Return the table's wavelengths [µm], as in `from_samples`."""
     starts, ends = np.array([sample.wavelength_um[[0, -1]] for sample in samples]).T
-    first = max(KEPT_RANGE_UM[0], min(starts.max(), max(WANTED_RANGE_UM[0], starts.min())))
+    first = max(KEPT_RANGE_UM[0], starts.min())
     last = min(KEPT_RANGE_UM[1], max(ends.min(), min(WANTED_RANGE_UM[1], ends.max())))
     steps = np.arange(np.ceil((first - SLACK_UM) / STEP_UM), np.floor((last + SLACK_UM) / STEP_UM) + 1)
     if steps.size < 2:
@@ -238,11 +249,14 @@ def _common_grid(samples: Sequence[Sample], name: str) -> Floats:
 
 
 def _thermal_part(sample: Sample, name: str) -> Sample:
-    """Return a sample without the part below a gap of its measurement; refuse gaps within 7–14 µm."""
+    """Return a sample without the part below a gap, or all noise below 3.2 µm; refuse gaps within 7–14 µm."""
     first = sample.wavelength_um[0]
+    short = (sample.wavelength_um >= KEPT_RANGE_UM[0] - SLACK_UM) & (sample.wavelength_um < _SEAM_UM)
+    if np.any(short & (np.abs(sample.reflectance - 0.5) > 0.5 + _NOISE)):
+        first = sample.wavelength_um[sample.wavelength_um <= _SEAM_UM][-1]
     for start, end in gaps(sample.wavelength_um):
         if start < WANTED_RANGE_UM[0]:
-            first = end
+            first = max(first, end)
         elif start < KEPT_RANGE_UM[1]:
             raise ThermorenderError(
                 f"sample {sample.source} of material {name!r} has no point between {start:g} and {end:g} µm; measure "
@@ -253,9 +267,10 @@ def _thermal_part(sample: Sample, name: str) -> Sample:
 
 
 def _check_sample(sample: Sample, name: str, first: float, last: float) -> None:
-    """Refuse a sample outside 0…1 within the table's range."""
+    """Refuse a sample outside 0…1, apart from noise below 3.2 µm, within the table's range."""
     kept = (sample.wavelength_um >= first - SLACK_UM) & (sample.wavelength_um <= last + SLACK_UM)
-    bad = kept & ~((sample.reflectance >= 0.0) & (sample.reflectance <= 1.0))
+    noise = np.where(sample.wavelength_um < _SEAM_UM, _NOISE, 0.0)
+    bad = kept & ~((sample.reflectance >= -noise) & (sample.reflectance <= 1.0 + noise))
     if bad.any():
         at = np.flatnonzero(bad)[0]
         raise ThermorenderError(
@@ -274,12 +289,14 @@ def _check_sample(sample: Sample, name: str, first: float, last: float) -> None:
         )
 
 
-def _on_grid(wavelength: Floats, value: Floats, grid: Floats) -> Floats:
+def _on_grid(wavelength: Floats, value: Floats, grid: Floats, last: float | None = None) -> Floats:
     """Return the least-squares table of a spectrum on an even grid, both linear between their points.
 
+    `last` is the value of the last row where it is given.
+
     The mean and slope over each half micrometre are kept exactly. Band emissivities are integrals with a smooth weight,
-    so they agree with the measurement to 1e-6. Values outside 0…1 are fixed at the limit and the rest is solved again;
-    `scipy.optimize.lsq_linear` has limits but no equality constraints.
+    so they agree with the measurement to 1e-6, below 7 µm to 1e-5. Values outside 0…1 are fixed at the limit and the
+    rest is solved again; `scipy.optimize.lsq_linear` has limits but no equality constraints.
     """
     step, size = grid[1] - grid[0], grid.size
     nodes = np.union1d(wavelength[(wavelength > grid[0]) & (wavelength < grid[-1])], grid)
@@ -308,6 +325,8 @@ def _on_grid(wavelength: Floats, value: Floats, grid: Floats) -> Floats:
     moments = [np.bincount(interval, weights * lever * spectrum, edges.size + 1)[1:-1] for lever in levers]
     aim = np.concatenate(moments)
     table, fixed = np.zeros(size), np.zeros(size, dtype=bool)
+    if last is not None:
+        table[-1], fixed[-1] = last, True
     for _ in range(size):
         free = ~fixed
         system = np.block([[gram[np.ix_(free, free)], kept[:, free].T], [kept[:, free], np.zeros((aim.size,) * 2)]])

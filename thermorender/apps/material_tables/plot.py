@@ -11,7 +11,7 @@ from thermorender.files import atomic, check_output_file
 from thermorender.formats import label
 from thermorender.materials.material import Material
 
-# Plotted range, that of long-wave infrared cameras; tables may cover more.
+# Plotted range besides the camera's band, that of long-wave infrared cameras; tables may cover more.
 DRAWN_UM = (7.0, 14.0)
 MOST_MATERIALS = 8
 
@@ -21,8 +21,8 @@ def plot(
 ) -> Path:
     """Write a PNG of the hemispherical emissivity of one to eight materials, ± one standard deviation; return its path.
 
-    The camera's band [µm] is shaded. The legend has the band emissivity at a temperature [K]. For materials with an
-    angular model, a second panel shows it against the angle from the normal.
+    The axis covers 7–14 µm and the camera's band [µm], which is shaded. The legend has the band emissivity at a
+    temperature [K]. For materials with an angular model, a second panel shows it against the angle from the normal.
     """
     path = Path(path)
     if not 1 <= len(materials) <= MOST_MATERIALS:
@@ -38,10 +38,11 @@ def plot(
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, 2 if directional else 1, squeeze=False, width_ratios=[1.6, 1] if directional else [1])[0]
     axes[0].axvspan(*band_um, color="0.93", zorder=0)
+    drawn = min(DRAWN_UM[0], band_um[0]), max(DRAWN_UM[1], band_um[1])
     lowest = 1.0
     for index, material in enumerate(materials):
         colour = f"C{index}"
-        inside = (material.wavelength_um >= DRAWN_UM[0]) & (material.wavelength_um <= DRAWN_UM[1])
+        inside = (material.wavelength_um >= drawn[0]) & (material.wavelength_um <= drawn[1])
         wavelength, mean, std = (
             values[inside] for values in (material.wavelength_um, material.emissivity, material.emissivity_std)
         )
@@ -57,10 +58,11 @@ def plot(
             angle = np.degrees(np.arccos(material.cosines))
             fine = np.union1d(angle, np.linspace(0.0, 90.0, 181))
             low, high = np.clip(band_um, *material.valid_range_um)
-            band = [material.band_emissivity(low, high, temperature, np.cos(np.radians(a))) for a in fine]
-            axes[1].plot(fine, band, color=colour, linewidth=1.6)
+            if low < high:
+                band = [material.band_emissivity(low, high, temperature, np.cos(np.radians(a))) for a in fine]
+                axes[1].plot(fine, band, color=colour, linewidth=1.6)
     axes[0].set(
-        xlim=DRAWN_UM, ylim=(max(0.0, lowest - 0.02), 1.005), xlabel="wavelength [µm]", ylabel="emissivity [1]",
+        xlim=drawn, ylim=(max(0.0, lowest - 0.02), 1.005), xlabel="wavelength [µm]", ylabel="emissivity [1]",
         title="hemispherical emissivity, mean ± standard deviation over samples",
     )  # fmt: skip
     axes[0].grid(alpha=0.3)
