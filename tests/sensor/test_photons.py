@@ -232,14 +232,19 @@ def seen(px_per_s, camera=WIDE, render_px=20.0, lag_mk=10.0, moves=False):
     return (signal - offset) / gain, how, np.mean([stripe(camera, place(t)) for t in instants], axis=0)
 
 
+def middle(image):
+    """Column of a stripe's centre of mass, from the middle of the image [px]."""
+    profile = image[48] - GROUND
+    return profile @ (np.arange(WIDE.width) + 0.5 - 60.0) / profile.sum()
+
+
 @pytest.mark.parametrize("moves", [False, True])
 @pytest.mark.parametrize("px_per_s", [40.0, 500.0, 2000.0])
 def test_an_edge_is_blurred_over_the_integration_time(px_per_s, moves):
     found, _, expected = seen(px_per_s, render_px=0.0, lag_mk=0.02, moves=moves)
     way = px_per_s * 1e-3 * WIDE.integration_ms
     # A ramp as long as the way, half a way late.
-    profile = (found[48] - GROUND) / STEP
-    assert profile @ (np.arange(WIDE.width) + 0.5 - 60.0) / profile.sum() == pytest.approx(-0.5 * way, abs=0.02)
+    assert middle(found) == pytest.approx(-0.5 * way, abs=0.02)
     assert np.abs(found - expected)[:, 20:100].max() < 0.02 * STEP
     assert np.abs(stripe(WIDE, 0.0) - expected).max() > 0.2 * STEP
 
@@ -249,6 +254,7 @@ def test_the_estimated_error_holds_where_moved_images_replace_renders(px_per_s):
     found, how, expected = seen(px_per_s)
     off_mk = np.sqrt(np.mean((found - expected) ** 2)) / per_mk(WIDE)
     assert how["renders"] < how["instants"] and off_mk < how["lag_mk"] < 20.0 * off_mk
+    assert middle(found) == pytest.approx(-0.5e-3 * px_per_s * WIDE.integration_ms, abs=0.05)
 
 
 def test_blur_ends_at_the_frames_time_and_grows_with_the_integration_time():
