@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 from scipy.stats import chi2
 
 from scenes import plane_depth
+from thermorender.apps.survey.footage.calibration import fit_camera
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
 from thermorender.physics.planck import band_radiance, brightness_temperature
@@ -30,7 +31,7 @@ CAMERA = replace(
     vignetting=0.0, sigma_t_mk=0.0, sigma_tv_mk=0.0, sigma_th_mk=0.0, sigma_v_mk=0.0, sigma_h_mk=0.0, sigma_vh_mk=0.0,
     responsivity_percent=(0.0, 0.0), bad_pixels=0.0,
 )  # fmt: skip
-QUIET = replace(CAMERA, netd_mk=photons.least_netd_mk(CAMERA) + 1e-9)
+QUIET = replace(CAMERA, netd_mk=CAMERA.least_netd_mk + 1e-9)
 FRAMES = 60
 
 
@@ -121,7 +122,7 @@ def test_netd_is_the_stated_one_with_a_half_full_well():
     # Photons alone: 15 mK at the 30 °C of the data sheet.
     warm = filled(303.15, 0.5)
     assert 1e3 * np.sqrt(number(303.15, warm)) / slope(303.15, warm) == pytest.approx(15.0, abs=0.05)
-    assert photons.least_netd_mk(CAMERA) == pytest.approx(1e3 * np.sqrt(number(300.0, camera)) / slope(300.0, camera))
+    assert CAMERA.least_netd_mk == pytest.approx(1e3 * np.sqrt(number(300.0, camera)) / slope(300.0, camera))
 
 
 def test_hot_targets_have_more_noise_in_radiance_and_less_in_kelvin():
@@ -300,7 +301,8 @@ def test_camera_files_of_photon_detectors(tmp_path, old, new, words):
 def test_the_shipped_camera():
     assert pytest.approx((35.5, 28.7), abs=0.05) == SHIPPED.field_of_view_deg
     assert SHIPPED.band_um == (3.7, 4.8) and replace(SHIPPED, band_um=(3.1, 4.8)).memory_s == 0.01
-    assert "half-full well" in str(SHIPPED) and "is full at 65 °C" in str(SHIPPED)
+    assert "half-full well" in str(SHIPPED) and "photons of 10 ms, a well of 7e+06 electrons" in str(SHIPPED)
+    assert photons.full_well_k(SHIPPED) == pytest.approx(65.0 + 273.15, abs=0.5)
 
 
 def test_the_air_of_long_wave_software_is_refused():
@@ -310,6 +312,14 @@ def test_the_air_of_long_wave_software_is_refused():
     ):
         thermography_reading(counts, CAMERA, ThermographySettings(distance_m=50.0))
     assert thermography_reading(counts, CAMERA, ThermographySettings()).mean() == pytest.approx(300.0, abs=0.01)
+
+
+def test_fits_take_microbolometers(tmp_path):
+    (tmp_path / "frame.tif").touch()
+    with pytest.raises(
+        ThermorenderError, match="base camera neutrino-lc has a photon detector, .* give a microbolometer"
+    ):
+        fit_camera([tmp_path], "neutrino-lc")
 
 
 def test_microbolometers_are_as_before():

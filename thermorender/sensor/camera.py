@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
+from thermorender.physics.quanta import photon_growth
 from thermorender.schema import Where, choice, flag, key, number, read, read_toml
 from thermorender.units import ZERO_CELSIUS_K
 
@@ -222,12 +223,10 @@ class Camera:
                 f"integration_ms={self.integration_ms:g} is not allowed beside well_electrons; give a number above 0 "
                 f"and up to {longest:.4g} ms, a frame of frame_rate_hz={self.frame_rate_hz:g}"
             )
-        from thermorender.sensor.photons import least_netd_mk
-
-        if self.netd_mk < least_netd_mk(self):
+        if self.netd_mk < self.least_netd_mk:
             raise where.error(
                 f"netd_mk={self.netd_mk:g} is below the photon noise of a half-full well; give at least "
-                f"{least_netd_mk(self):.4g} mK, or more well_electrons"
+                f"{self.least_netd_mk:.4g} mK, or more well_electrons"
             )
 
     def __repr__(self) -> str:
@@ -247,13 +246,8 @@ class Camera:
             f"shutter every {self.ffc_interval_s:g} s (0: never)"
         )
         if self.well_electrons:
-            from thermorender.sensor.photons import full_well_k
-
             noise = f"NETD {self.gain_netd_mk:g} mK at 300 K with a half-full well"
-            detector = (
-                f"photons of {self.integration_ms:g} ms; the well of {self.well_electrons:g} electrons is full at "
-                f"{full_well_k(self) - ZERO_CELSIUS_K:.0f} °C"
-            )
+            detector = f"photons of {self.integration_ms:g} ms, a well of {self.well_electrons:g} electrons"
         lines = [
             f"{self.name}: {self.width}×{self.height} pixels of {self.pixel_pitch_um:g} µm, "
             f"{self.frame_rate_hz:g} frames per second",
@@ -300,6 +294,17 @@ class Camera:
         return replace(
             self, width=width, height=height, pixel_pitch_um=pitch_um, principal_offset_px=offset, well_electrons=well
         )
+
+    @property
+    def half_well_per_mk(self) -> float:
+        """Growth of the electrons in a half-full well of a photon detector, at 300 K [mK⁻¹]."""
+        return 0.5e-3 * self.well_electrons * photon_growth(NETD_REFERENCE_K, *self.band_um)
+
+    @property
+    def least_netd_mk(self) -> float:
+        """NETD of a photon detector without read noise: of photons, frames, rows and columns [mK]."""
+        common = self.sigma_t_mk**2 + self.sigma_tv_mk**2 + self.sigma_th_mk**2
+        return float(np.sqrt(0.5 * self.well_electrons / self.half_well_per_mk**2 + common))
 
     @property
     def absent(self) -> tuple[str, ...]:
