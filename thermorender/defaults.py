@@ -1,6 +1,6 @@
 """Default settings, and the names of the shipped scenes and maps."""
 
-# Band of the shipped cameras [µm], with a flat response.
+# Band of the shipped microbolometers [µm], with a flat response.
 BAND_UM = (7.5, 13.5)
 CAMERA = "zenmuse-xt2"
 SCENES = ("heath", "village", "ridge")

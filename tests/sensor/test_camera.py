@@ -50,7 +50,7 @@ def test_folding_distortion_is_refused():
 
 
 def test_camera_files(tmp_path):
-    with pytest.raises(ThermorenderError, match="give one of boson-640, ideal, tau2-640, zenmuse-xt2"):
+    with pytest.raises(ThermorenderError, match="give one of boson-640, ideal, neutrino-lc, tau2-640, zenmuse-xt2"):
         load_camera("zenmuse")
     text = (load_camera.__globals__["Path"](load_camera.__code__.co_filename).parent / "cameras/ideal.toml").read_text()
     path = tmp_path / "mine.toml"

@@ -61,7 +61,7 @@ def digest(
             for name, values in tracked.columns.items():
                 state.update(name.encode() + values.tobytes())
         skies = f"{spec_sky_temperature!r}, {spec_surroundings_temperature!r}"
-        state.update(f"({every_field(camera)}, {skies})".encode())
+        state.update(f"({every_field(camera, *camera.absent)}, {skies})".encode())
         if air:
             state.update(repr((air.cloud_fraction, air.cloud_base_m, altitude_m, sun)).encode())
             for row in fields(air):

@@ -16,14 +16,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
+from thermorender.physics.quanta import photon_growth
 from thermorender.schema import Where, choice, flag, key, number, read, read_toml
 from thermorender.units import ZERO_CELSIUS_K
 
 # Values of the pixels of an image, (H, W), and a world_from_camera, (4, 4).
 Image = NDArray[np.float32]
 Pose = NDArray[np.float64]
-# No microbolometer has more pixels along a side, and a frame of more does not fit into memory.
+# No thermal camera has more pixels along a side, and a frame of more does not fit into memory.
 MOST_PIXELS = 16384
+# Temperature for which an NETD is stated [K].
+NETD_REFERENCE_K = 300.0
 _share = number(0.0, 1.0, above=True)
 _range_c = number(-ZERO_CELSIUS_K, 5000.0, above=True, count=2, ordered=True)
 _noise_mk = number(0.0, 1e5)
@@ -121,6 +124,13 @@ class Camera:
         Width of the image of the visible camera beside this one [px]; 0: there is none.
     visible_field_of_view_deg : (2,) floats
         Horizontal and vertical field of view of the visible camera, which has square pixels [deg].
+    well_electrons : float
+        Electrons that a pixel of a photon detector holds; 0: a microbolometer. A photon detector has no time constant,
+        no rolling rows and no low gain. Its NETD is stated for a well half full at 300 K, whatever `netd_f_number`.
+    integration_ms : float
+        Time over which a photon detector collects light, up to the frame's time [ms].
+    quantum_efficiency : float
+        Electrons of a photon detector per photon on its area.
     """
 
     name: str
@@ -177,6 +187,9 @@ class Camera:
     agc_tails_percent: tuple[float, float] = key(number(0.0, 49.0, count=2), (0.5, 0.5))
     visible_width: int = key(number(0, MOST_PIXELS, whole=True, unit="pixels"), 0)
     visible_field_of_view_deg: tuple[float, float] = key(number(1.0, 170.0, count=2), (57.0, 43.0))
+    well_electrons: float = key(number(0.0, 1e12), 0.0)
+    integration_ms: float = key(number(0.0, 10_000.0), 0.0)
+    quantum_efficiency: float = key(_share, 1.0)
 
     def check(self, where: Where, given: dict[str, Any]) -> None:
         """Refuse noise of frames, rows and columns that exceeds the NETD, and distortion that folds the image."""
@@ -186,8 +199,35 @@ class Camera:
             raise where.error(
                 f"{', '.join(temporal)} leave nothing of {name}={self.gain_netd_mk:g}, which contains them; lower them"
             )
+        self._check_photons(where)
         # Checked here, since otherwise only the first frame would report it, after the scene is baked.
         edge_directions(self)
+
+    def _check_photons(self, where: Where) -> None:
+        """Refuse keys that a microbolometer or a photon detector does not have, and an NETD below photon noise."""
+        if not self.well_electrons:
+            if self.integration_ms or self.quantum_efficiency != 1.0:
+                name = "integration_ms" if self.integration_ms else "quantum_efficiency"
+                raise where.error(
+                    f"{name}={getattr(self, name):g} is of a photon detector; give well_electrons too, or leave it out"
+                )
+            return
+        for name, absent in (("time_constant_ms", 0.0), ("row_time_us", 0.0), ("gain", "high")):
+            if getattr(self, name) != absent:
+                raise where.error(
+                    f"{name}={getattr(self, name)!r} is of a microbolometer; leave it out beside well_electrons"
+                )
+        longest = 1e3 / self.frame_rate_hz
+        if not 0.0 < self.integration_ms <= longest:
+            raise where.error(
+                f"integration_ms={self.integration_ms:g} is not allowed beside well_electrons; give a number above 0 "
+                f"and up to {longest:.4g} ms, a frame of frame_rate_hz={self.frame_rate_hz:g}"
+            )
+        if self.netd_mk < self.least_netd_mk:
+            raise where.error(
+                f"netd_mk={self.netd_mk:g} is below the photon noise of a half-full well; give at least "
+                f"{self.least_netd_mk:.4g} mK, or more well_electrons"
+            )
 
     def __repr__(self) -> str:
         across, along = self.field_of_view_deg
@@ -200,16 +240,23 @@ class Camera:
     def __str__(self) -> str:
         across, along = self.field_of_view_deg
         low, high = self.range_c
+        noise = f"NETD {self.gain_netd_mk:g} mK at f/{self.netd_f_number:g} in {self.gain} gain"
+        detector = (
+            f"time constant {self.time_constant_ms:g} ms, rows {self.row_time_us:g} µs apart, "
+            f"shutter every {self.ffc_interval_s:g} s (0: never)"
+        )
+        if self.well_electrons:
+            noise = f"NETD {self.gain_netd_mk:g} mK at 300 K with a half-full well"
+            detector = f"photons of {self.integration_ms:g} ms, a well of {self.well_electrons:g} electrons"
         lines = [
             f"{self.name}: {self.width}×{self.height} pixels of {self.pixel_pitch_um:g} µm, "
             f"{self.frame_rate_hz:g} frames per second",
             f"  lens          {self.focal_length_mm:g} mm f/{self.f_number:g}, {across:.1f}° × {along:.1f}°, "
             f"{self.pixel_pitch_um / self.focal_length_mm:.2f} mrad per pixel",
             f"  band          {self.band_um[0]:g}–{self.band_um[1]:g} µm",
-            f"  noise         NETD {self.gain_netd_mk:g} mK at f/{self.netd_f_number:g} in {self.gain} gain",
+            f"  noise         {noise}",
             f"  counts        {self.bits} bits over {low:g}…{high:g} °C of apparent temperature in high gain",
-            f"  detector      time constant {self.time_constant_ms:g} ms, rows {self.row_time_us:g} µs apart, "
-            f"shutter every {self.ffc_interval_s:g} s (0: never)",
+            f"  detector      {detector}",
             f"  photograph    {self._visible_words()}",
         ]
         return "\n".join(lines)
@@ -243,8 +290,26 @@ class Camera:
         """Return the Camera whose pixels are `by` times as wide; the image keeps its upper left corner."""
         width, height = (max(count // by, 1) for count in (self.width, self.height))
         x, y = self._principal_point / by - (0.5 * width, 0.5 * height)
-        pitch_um, offset = by * self.pixel_pitch_um, (float(x), float(y))
-        return replace(self, width=width, height=height, pixel_pitch_um=pitch_um, principal_offset_px=offset)
+        pitch_um, offset, well = by * self.pixel_pitch_um, (float(x), float(y)), by**2 * self.well_electrons
+        return replace(
+            self, width=width, height=height, pixel_pitch_um=pitch_um, principal_offset_px=offset, well_electrons=well
+        )
+
+    @property
+    def half_well_per_mk(self) -> float:
+        """Growth of the electrons in a half-full well of a photon detector, at 300 K [mK⁻¹]."""
+        return 0.5e-3 * self.well_electrons * photon_growth(NETD_REFERENCE_K, *self.band_um)
+
+    @property
+    def least_netd_mk(self) -> float:
+        """NETD of a photon detector without read noise: of photons, frames, rows and columns [mK]."""
+        common = self.sigma_t_mk**2 + self.sigma_tv_mk**2 + self.sigma_th_mk**2
+        return float(np.sqrt(0.5 * self.well_electrons / self.half_well_per_mk**2 + common))
+
+    @property
+    def absent(self) -> tuple[str, ...]:
+        """Keys of a photon detector that a microbolometer does not have; fingerprints and files leave them out."""
+        return () if self.well_electrons else ("well_electrons", "integration_ms", "quantum_efficiency")
 
     @property
     def count_range_k(self) -> tuple[float, float]:
@@ -261,6 +326,11 @@ class Camera:
     def time_constant_s(self) -> float:
         """Thermal time constant of a pixel [s]."""
         return self.time_constant_ms * 1e-3
+
+    @property
+    def memory_s(self) -> float:
+        """Integration time of a photon detector, time constant of a microbolometer [s]."""
+        return self.integration_ms * 1e-3 if self.well_electrons else self.time_constant_s
 
     @property
     def focal_length_px(self) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
-from thermorender.sensor import noise, readout
+from thermorender.sensor import noise, photons, readout
 from thermorender.sensor.camera import Camera, Image
 from thermorender.sensor.detector import absorbed_power
 from thermorender.sensor.optics import case_share, detector_irradiance, narcissus_ring, relative_illumination
@@ -159,6 +159,11 @@ class Sensor:
             self._pattern = (made, pattern)
         return self._pattern[1]
 
+    @cached_property
+    def beyond_counts(self) -> float:
+        """A power that stays above the highest count, corrected or averaged with its neighbours [W]."""
+        return 1e3 * self._shutter_power(self.camera.count_range_k[1])
+
     def _shutter_power(self, temperature_k: float) -> float:
         """Absorbed power of the shutter, as if it were a scene, at the image centre [W]."""
         camera = self.camera
@@ -226,14 +231,21 @@ def stray_light(image: Image, sensor: Sensor, moment: Moment) -> Image:
 
 
 def absorption(image: Image, sensor: Sensor, moment: Moment) -> Image:
-    """Power that heats the pixels."""
+    """Power on the pixels."""
     image *= np.float32(absorbed_power(1.0, sensor.camera))
     return image
 
 
 def temporal_noise(image: Image, sensor: Sensor, moment: Moment) -> Image:
-    """Add the noise that is new in each frame."""
-    image += noise.temporal_noise(sensor.camera, sensor.seed, moment.index)
+    """Add the noise that is new in each frame. A full well of a photon detector gets a power beyond all counts."""
+    camera = sensor.camera
+    if not camera.well_electrons:
+        image += noise.temporal_noise(camera, sensor.seed, moment.index)
+        return image
+    electrons, per_watt, sigma = photons.collected(image, sensor.illumination, camera)
+    added = noise.temporal_noise(camera, sensor.seed, moment.index, sigma.astype(np.float32))
+    image += added
+    image[electrons + added * per_watt >= camera.well_electrons] = sensor.beyond_counts
     return image
 
 

@@ -1,4 +1,5 @@
 """The microbolometer pixel as a heat capacity: absorbed power, its exponential response, rows read one after another.
+The pixel of a photon detector as a mean over its integration time.
 
 C dΔT/dt = P − G ΔT has the time constant C/G. The signal is G ΔT, watts of steady power, so neither C nor G is needed.
 Power is linear between known instants, for which the response is exact.
@@ -122,3 +123,34 @@ class Follower:
             read_rows(self.pixels, time_s, power, self._row_times_s[rows], rows, self._time_constant_s, self.signal)
             self._done = until
         self.pixels = advanced(self.pixels, time_s, power, self._time_constant_s)
+
+
+class Integrator:
+    """Pixels that collect light from the first to the last instant, linear between; they remember no earlier frame."""
+
+    pixels = None
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.signal = np.zeros(shape, np.float32)
+        self._first_s: float | None = None
+        self._before: tuple[float, Image] = (0.0, self.signal)
+
+    def step(self, time_s: float, power: Image, last: bool) -> None:
+        """Add the light up to an instant with `power` on the pixels; after the last, the signal is the mean power."""
+        if self._first_s is None:
+            self._first_s = time_s
+        else:
+            since_s, before = self._before
+            self.signal += np.float32(0.5 * (time_s - since_s)) * (before + power)
+        self._before = time_s, power
+        if last:
+            self.signal /= np.float32(time_s - self._first_s)
+
+
+def follower(
+    camera: Camera, pixels: PixelState | None, row_times_s: NDArray[np.float64], shape: tuple[int, ...]
+) -> Follower | Integrator:
+    """Return what follows a camera's pixels from instant to instant."""
+    if camera.well_electrons:
+        return Integrator(shape)
+    return Follower(pixels, row_times_s, camera.time_constant_s, shape)

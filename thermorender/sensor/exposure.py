@@ -1,4 +1,5 @@
 """A sequence of images as a microbolometer takes them: pixels with a thermal memory, rows read one after another.
+Photon detectors integrate up to the frame's time and remember no frame; their integration time is the time constant.
 
 - Static view: one radiance image per frame, and the pixels' state after the frame before.
 - Sub-pixel motion: that image is moved back along its path, to the ages that best represent each row's exponential
@@ -21,8 +22,8 @@ from thermorender.sensor.camera import Camera, Image, Pose
 from thermorender.sensor.chain import Moment, Sensor, in_sequence
 from thermorender.sensor.detector import (
     SETTLED,
-    Follower,
     PixelState,
+    follower,
     response_weights,
     row_delays,
     steady,
@@ -42,7 +43,6 @@ from thermorender.sensor.schedule import (
     FAR_PX,
     FITTED_GRADIENT_MK,
     LAG_MK,
-    MEMORY,
     RENDER_PX,
     STATIC_PX,
     SUBPIXEL_MK,
@@ -51,6 +51,7 @@ from thermorender.sensor.schedule import (
     gradient_mk,
     instants_mk,
     moved_mk,
+    past_s,
     per_mk,
     sample,
     sample_mean,
@@ -58,8 +59,9 @@ from thermorender.sensor.schedule import (
     unmoved_mk,
 )
 
-# Ages [time constants] and weights that integrate cubics against e⁻ᵃ exactly (Gauss–Laguerre).
-_AGES, _WEIGHTS = np.polynomial.laguerre.laggauss(2)
+# Ages [time constants] and weights that integrate cubics exactly: against e⁻ᵃ (Gauss–Laguerre), and as the mean over an
+# integration time (Gauss–Legendre).
+_EXPONENTIAL, _MEAN = np.polynomial.laguerre.laggauss(2), (0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0), np.full(2, 0.5))
 # Ratio of the error of trapezoids to their difference from those twice as wide: a third where the power bends gently,
 # more where it bends from pixel to pixel.
 _BY_HALF = 0.5
@@ -110,6 +112,9 @@ class Exposure:
         self._radiance_at, self._pose_at, self._depth_at = radiance_at, pose_at, depth_at
         self._grid_camera = grid_camera(sensor.camera)
         self._delays = row_delays(sensor.camera, interval_s)
+        self._ages: NDArray[np.float64]
+        self._weights: NDArray[np.float64]
+        self._ages, self._weights = _MEAN if sensor.camera.well_electrons else _EXPONENTIAL
         self._render_px, self._lag_mk = render_px, lag_mk
         self.pixels, self.last_counts = None, None
 
@@ -139,22 +144,22 @@ class Exposure:
         # The next frame starts from pixels that were followed through instants, and from their error.
         contrast, moved_s, carried = gradient / FITTED_GRADIENT_MK, 0.0, 0.0
         # A view that moves little in a short time constant may move more while the rows are read.
-        late = float(np.std(self._delays)) / (self.sensor.camera.time_constant_s or np.inf)
+        late = float(np.std(self._delays)) / (self.sensor.camera.memory_s or np.inf)
         reading = motion * max(late, 1.0)
         if reading <= STATIC_PX:
             signal = self._static(time_s, self.sensor.power(radiance, moment))
             instants, renders, regions = 1, 1, self._changing_regions(time_s, before, moved_s)
             error = unmoved_mk(radiance, self.sensor.camera, motion * np.hypot(1.0, late), gradient)
-        elif reading <= SUBPIXEL_PX and interpolates and self.sensor.camera.time_constant_s:
+        elif reading <= SUBPIXEL_PX and interpolates and self.sensor.camera.memory_s:
             image = self.sensor.blurred(radiance)
-            way = self._way(relief, time_s, self.sensor.camera.time_constant_s)
+            way = self._way(relief, time_s, self.sensor.camera.memory_s)
             signal, error = self._subpixel(way, time_s, image, moment)
-            moved_s = _AGES[-1] * self.sensor.camera.time_constant_s - self._delays[0]
+            moved_s = self._ages[-1] * self.sensor.camera.memory_s - self._delays[0]
             regions = self._changing_regions(time_s, before, moved_s)
-            gaps, rest = np.hypot(_AGES, late), outside(regions, image.shape)
-            error = np.hypot(error, moved_mk(image, self.sensor.camera, way, motion, gaps, _WEIGHTS, rest))
+            gaps, rest = np.hypot(self._ages, late), outside(regions, image.shape)
+            error = np.hypot(error, moved_mk(image, self.sensor.camera, way, motion, gaps, self._weights, rest))
             error = np.hypot(error, SUBPIXEL_MK * motion**2 * contrast)
-            instants, renders = len(_AGES), 1
+            instants, renders = len(self._ages), 1
         else:
             plan = self._schedule(time_s, motion, contrast, self._since(time_s, before), self._render_px)
             own, measured, ways = WideImage(self.sensor.blurred(radiance)), None, self._ways(plan, relief)
@@ -174,7 +179,7 @@ class Exposure:
             regions = self._changing_regions(time_s, before, moved_s)
             if len(plan.renders) < len(plan.times_s):
                 way = self._way(relief, time_s, min(self._span_s(), _SHORT_S))
-                gaps, weights = plan.moved_middles(self.sensor.camera.time_constant_s)
+                gaps, weights = plan.moved_middles(self.sensor.camera.memory_s)
                 rest = outside(regions, image.shape)
                 apart = moved_mk(image, self.sensor.camera, way, motion, gaps, weights, rest)
                 # A moved image shows neither what a step of depth uncovers nor detail that it has not.
@@ -216,8 +221,8 @@ class Exposure:
             self.pixels = PixelState(time_s, arrays["signal"], arrays["power"], error_mk)
 
     def _span_s(self) -> float:
-        """The time constant, or the read-out time of a camera without one [s]."""
-        return self.sensor.camera.time_constant_s or self._delays[-1] - self._delays[0]
+        """The pixels' memory, or the read-out time of a camera without one [s]."""
+        return self.sensor.camera.memory_s or self._delays[-1] - self._delays[0]
 
     def _relief(self, time_s: float) -> Relief:
         """The Relief of the view at a time."""
@@ -238,16 +243,16 @@ class Exposure:
             return 0.0
         passed = time_s + self._delays[-1] - before.time_s
         # Rounded, so that a small rest is forgotten as the signal is.
-        return round(before.error_mk * float(response_weights(passed, self.sensor.camera.time_constant_s)[0]), 6)
+        return round(before.error_mk * float(response_weights(passed, self.sensor.camera.memory_s)[0]), 6)
 
     def _since(self, time_s: float, before: PixelState | None) -> float:
         """Earliest time whose power matters to a frame that follows the state `before` [s]."""
-        since_s = time_s + self._delays[0] - MEMORY * self.sensor.camera.time_constant_s
+        since_s = time_s + self._delays[0] - past_s(self.sensor.camera)
         return since_s if before is None else max(since_s, before.time_s)
 
     def _schedule(self, time_s: float, motion: float, contrast: float, since_s: float, render_px: float) -> Schedule:
         lag_mk = self._lag_mk / max(contrast, 1e-6)
-        return schedule(time_s, self._delays, self.sensor.camera.time_constant_s, motion, since_s, lag_mk, render_px)
+        return schedule(time_s, self._delays, self.sensor.camera.memory_s, motion, since_s, lag_mk, render_px)
 
     def _ways(self, plan: Schedule, relief: Relief) -> _Ways:
         """The motion of the image between the instants of a Schedule."""
@@ -263,7 +268,7 @@ class Exposure:
         """The instant in a Schedule that is `age` time constants before the first row is read; without, the last."""
         if age is None:
             return len(plan.times_s) - 1
-        since = plan.row_times_s[0] - age * self.sensor.camera.time_constant_s
+        since = plan.row_times_s[0] - age * self.sensor.camera.memory_s
         return max(int(np.searchsorted(plan.times_s, since, "right")) - 1, 0)
 
     def _widened(
@@ -344,7 +349,7 @@ class Exposure:
             return 0.0
         rendered = np.union1d(plan.times_s[[0, -1]], plan.times_s[plan.renders])
         ages = plan.row_times_s[0] - rendered[1:]
-        return float(np.diff(rendered)[ages <= _GHOST_AGE * self.sensor.camera.time_constant_s].max())
+        return float(np.diff(rendered)[ages <= _GHOST_AGE * self.sensor.camera.memory_s].max())
 
     def _changing_regions(self, time_s: float, before: PixelState | None, moved_s: float) -> list[ChangingRegion]:
         """Regions of the frame that moving objects change within the pixels' memory."""
@@ -389,7 +394,7 @@ class Exposure:
             state = PixelState(before.time_s, before.signal[here], before.power[here])
         # In one pass, since each power is a render. `kept` are instants that the coarser followers need.
         kept = np.isin(times, [times[0], *region.bends_s])
-        fine, *coarser = (Follower(state, rows, camera.time_constant_s, signal[here].shape) for _ in range(3))
+        fine, *coarser = (follower(camera, state, rows, signal[here].shape) for _ in range(3))
         for number, (at, power) in enumerate(powers()):
             last = number == len(times) - 1
             fine.step(at, power, last)
@@ -431,8 +436,8 @@ class Exposure:
         camera, here = self.sensor.camera, sample(image.shape)
         column, row = pixel_grid(camera)
         total, unseen = np.zeros_like(image), np.zeros_like(image[here])
-        for age, weight in zip(_AGES, _WEIGHTS.astype(np.float32), strict=True):
-            ago = (age - self._delays / camera.time_constant_s).astype(np.float32)[:, None]
+        for age, weight in zip(self._ages, self._weights.astype(np.float32), strict=True):
+            ago = (age - self._delays / camera.memory_s).astype(np.float32)[:, None]
             # Such a small motion is the same in both directions.
             right, down = column + way[0] * ago, row + way[1] * ago
             # The blur of linear interpolation matters little at a small weight.
@@ -452,25 +457,25 @@ class Exposure:
         camera, times = self.sensor.camera, plan.times_s
         whole = camera.height, camera.width
         state = self.pixels if self.pixels is not None and self.pixels.time_s >= times[0] else None
-        follower = Follower(state, plan.row_times_s, camera.time_constant_s, whole)
+        pixels = follower(camera, state, plan.row_times_s, whole)
         here = sample(whole)
         rows = plan.row_times_s[here[0][:, 0]]
         if state is not None:
             state = PixelState(state.time_s, state.signal[here], state.power[here])
         shape = np.broadcast_shapes(*(index.shape for index in here))
-        *coarser, unseen = (Follower(one, rows, camera.time_constant_s, shape) for one in (state, state, None))
+        *coarser, unseen = (follower(camera, one, rows, shape) for one in (state, state, None))
         for number, (time_s, power, guess) in enumerate(self._powers(plan, ways, own, moment, here)):
             last = number == len(times) - 1
-            follower.step(time_s, power, last)
+            pixels.step(time_s, power, last)
             for odd, one in enumerate(coarser):
                 if number % 2 == odd or number == 0 or last:
                     one.step(time_s, power[here], last)
             unseen.step(time_s, guess, last)
-        self.pixels = follower.pixels
+        self.pixels = pixels.pixels
         scale = np.broadcast_to(self.sensor.power_law(moment)[1] * per_mk(camera), whole)[here]
-        apart = [np.mean(((follower.signal[here] - one.signal) / scale) ** 2) for one in coarser]
+        apart = [np.mean(((pixels.signal[here] - one.signal) / scale) ** 2) for one in coarser]
         guessed = sample_mean((unseen.signal / per_mk(camera)) ** 2, whole)
-        return follower.signal, float(np.sqrt(_BY_HALF**2 * max(apart) + guessed))
+        return pixels.signal, float(np.sqrt(_BY_HALF**2 * max(apart) + guessed))
 
     def _powers(
         self, plan: Schedule, ways: _Ways, own: WideImage, moment: Moment, here: Any

@@ -103,7 +103,7 @@ def _changing_region(
     if (first >= last).any():
         return None
     span = np.diff(times)
-    lasting = np.minimum(span / (camera.time_constant_s or span), 1.0)
+    lasting = np.minimum(span / (camera.memory_s or span), 1.0)
     steps = np.ceil(np.abs(np.diff(warm)) / _WARMING_K * np.sqrt(lasting)).astype(int)
     spans = zip(times[:-1], times[1:], steps, strict=True)
     warming = [np.linspace(start, end, n, endpoint=False)[1:] for start, end, n in spans]

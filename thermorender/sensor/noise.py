@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.physics.planck import band_radiance_derivative
+from thermorender.sensor import photons
+from thermorender.sensor.camera import NETD_REFERENCE_K as NETD_REFERENCE_K
 from thermorender.sensor.camera import Camera, Image
 from thermorender.sensor.detector import absorbed_power
 from thermorender.sensor.optics import detector_irradiance
 
-NETD_REFERENCE_K = 300.0
 # Streams of random numbers, so that no part repeats another.
 _FRAME, _PATTERN, _DRIFT, _BAD, SHADING, _RESPONSIVITY, _RESPONSIVITY_SHADING, SCALE, FLICKER, BLINKING = range(10)
 # Largest total number of half waves across and along an image in a smooth field.
@@ -26,26 +27,29 @@ def noise_power(camera: Camera, difference_mk: float) -> float:
     """Return the absorbed power [W] of a temperature difference [mK] under the conditions of the camera's NETD.
 
     The NETD is stated for a lossless lens of its own f-number at 300 K: σ = π NETD dL/dT / (4 F₀² + 1) on the detector.
-    Seen through another f-number it grows as (4F² + 1), not as F².
+    Seen through another f-number it grows as (4F² + 1), not as F². That of a photon detector is stated for a half-full
+    well (`thermorender.sensor.photons`).
     """
+    if camera.well_electrons:
+        return photons.noise_power(camera, difference_mk)
     radiance = difference_mk * 1e-3 * band_radiance_derivative(NETD_REFERENCE_K, *camera.band_um)
     return float(absorbed_power(detector_irradiance(radiance, camera.netd_f_number), camera))
 
 
-def temporal_noise(camera: Camera, seed: int, index: int) -> Image:
+def temporal_noise(camera: Camera, seed: int, index: int, single_w: Image | None = None) -> Image:
     """Return the noise of frame `index` on the detector [W], (H, W) float32: σ_tvh, σ_tv, σ_th and σ_t.
 
-    It depends on `seed` and `index` only. The NETD contains all four, so σ_tvh is the rest.
+    It depends on `seed` and `index` only. The NETD contains all four, so σ_tvh is the rest, or `single_w` (H, W) [W].
     """
     height, width = camera.height, camera.width
     common = [camera.sigma_t_mk, camera.sigma_tv_mk, camera.sigma_th_mk]
     single = np.sqrt(camera.gain_netd_mk**2 - sum(sigma**2 for sigma in common))
     frame, row, column, pixel = (np.float32(noise_power(camera, sigma)) for sigma in (*common, single))
-    if not any(common):
+    if not any(common) and single_w is None:
         return normal(seed, index, _FRAME, (height, width), pixel)
     values = normal(seed, index, _FRAME, height * width + 1 + height + width, np.float32(1.0))
     noise, rest = values[: height * width].reshape(height, width), values[height * width :]
-    noise *= pixel
+    noise *= pixel if single_w is None else single_w
     noise += frame * rest[0] + row * rest[1 : 1 + height, None]
     noise += column * rest[1 + height :]
     return noise

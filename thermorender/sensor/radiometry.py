@@ -20,6 +20,9 @@ from thermorender.sensor.camera import Camera
 from thermorender.sensor.readout import radiance_from_counts
 from thermorender.units import ZERO_CELSIUS_K
 
+# Bands of long-wave cameras [µm], for which the constants of an `AirModel` were fitted.
+_AIR_UM = (7.0, 15.0)
+
 
 @dataclass(frozen=True)
 class PlanckConstants:
@@ -189,6 +192,12 @@ def thermography_reading(
     camera : Camera
     settings : ThermographySettings
     """
+    if settings.distance_m and not _AIR_UM[0] <= camera.band_um[0] < camera.band_um[1] <= _AIR_UM[1]:
+        raise ThermorenderError(
+            f"thermography: distance_m={settings.distance_m:g} asks for the air of FLIR's formula, which holds for "
+            f"{_AIR_UM[0]:g}…{_AIR_UM[1]:g} µm, and camera {camera.name} sees {camera.band_um[0]:g}–"
+            f"{camera.band_um[1]:g} µm; give distance_m=0"
+        )
     # A table by count, since there are fewer counts than pixels.
     signal = radiance_from_counts(np.arange(int(counts.max()) + 1), camera)
     return thermography_temperature(signal, camera_constants(camera), settings).astype(np.float32)[counts]

@@ -1,6 +1,7 @@
 """At which instants a frame follows the power on its pixels, which of them are rendered, and the estimated error.
 
-Distances in time are motion of the image: v pixels within a time constant. The constants below are estimates, fitted
+Distances in time are motion of the image: v pixels within a time constant, or within the integration time of a photon
+detector, whose instants are as close as those of an exponential past. The constants below are estimates, fitted
 to the scenes they name, not bounds.
 """
 
@@ -101,10 +102,15 @@ def schedule(
 
 def plan_row(camera: Camera) -> tuple[str, str, str]:
     """Return the cost of the pixels' memory in a flight, as an (item, in or out, why) row of a plan."""
-    if camera.time_constant_ms == 0.0:
+    if camera.memory_s == 0.0:
         return ("sub-frames", "out", "this camera's pixels have no memory")
-    why = f"one render where a flight's view moves up to {SUBPIXEL_PX:g} px in {camera.time_constant_ms:g} ms"
+    why = f"one render where a flight's view moves up to {SUBPIXEL_PX:g} px in {1e3 * camera.memory_s:g} ms"
     return ("sub-frames", "by motion", f"{why}; above that as many as keep an estimated {LAG_MK:g} mK")
+
+
+def past_s(camera: Camera) -> float:
+    """Return the time before a read-out whose light matters [s]."""
+    return camera.memory_s if camera.well_electrons else MEMORY * camera.time_constant_s
 
 
 def instants_mk(spacing_px: float, motion: float) -> float:

@@ -100,7 +100,7 @@ def campaign_of(scene: Scene, land: str) -> str:
     spec = scene.spec
     if spec.weather is None:
         return land
-    known = f"({scene.time!r}, {spec.weather!r}, {every_field(scene.camera)})"
+    known = f"({scene.time!r}, {spec.weather!r}, {every_field(scene.camera, *scene.camera.absent)})"
     return hashlib.blake2b(known.encode(), digest_size=8).hexdigest()
 
 

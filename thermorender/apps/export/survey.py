@@ -34,6 +34,8 @@ from thermorender.versions import versions
 
 # Kelvin of one count.
 STEP_K = 0.01
+# Bands that end below are mid-wave [µm].
+_MIDWAVE_UM = 6.0
 # Axes of a camera that looks down, with the top of its image ahead, in body axes.
 _BODY_FROM_NADIR = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 _NAMESPACES = {
@@ -197,7 +199,8 @@ def _xmp(about: dict[str, Any]) -> str:
     k1, k2, p1, p2, k3 = lens["distortion"]
     camera = {
         **dict(zip(("Yaw", "Pitch", "Roll"), (f"{round(angle, 7) + 0.0:.7f}" for angle in nadir), strict=True)),
-        "BandName": "LWIR", "HorizCS": "EPSG:4326", "VertCS": "ellipsoidal",
+        "BandName": "LWIR" if lens["band_um"][1] > _MIDWAVE_UM else "MWIR",
+        "HorizCS": "EPSG:4326", "VertCS": "ellipsoidal",
         "PerspectiveFocalLength": f"{lens['focal_length_mm']:.9g}",
         "PrincipalPoint": ",".join(f"{value * pitch_mm:.9g}" for value in middle),
         "PerspectiveDistortion": ",".join(f"{value:.9g}" for value in (k1, k2, k3, p1, p2)),

@@ -36,7 +36,7 @@ def write_preview(folder: Path, renderer: "Renderer", seen: Prospect, cost: Cost
     panels = [
         Curve("height above the\nground [m]", {"height": seen.above_ground_m}),
         Curve("pixel on the\nground [m]", {"pixel": seen.pixel_m}),
-        Curve(f"motion within\n{1e3 * seen.time_constant_s:g} ms [px]", {"motion": seen.motion_px}),
+        Curve(f"motion within\n{1e3 * seen.memory_s:g} ms [px]", {"motion": seen.motion_px}),
     ]
     warning = [f"<p class=grave>{text(cost.warning)}</p>"] if cost.warning else []
     parts = [

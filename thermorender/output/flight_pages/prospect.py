@@ -47,11 +47,12 @@ class Prospect:
     # (N,) float64 size of a pixel across the view, the median over the frame's rays that meet a surface; NaN without
     # one [m]
     pixel_m: Floats
-    # (N,) float64 motion of the image within a time constant of the detector, the 98th percentile over the frame; NaN
+    # (N,) float64 motion of the image within the detector's memory, the 98th percentile over the frame; NaN
     # unknown
     motion_px: Floats
     texel_m: float
-    time_constant_s: float
+    memory_s: float
+    memory: str  # What it is called
     length_m: float  # Of the path over the ground between the sampled frames
     backs: float  # Share of the rays that meet a surface from behind, of those that meet one
     notes: tuple[str, ...] = ()  # What the renderer says of the flight before it begins
@@ -84,8 +85,7 @@ class Prospect:
             f"height above the ground: {_range(self.above_ground_m, 'm')}{self._off()}",
             self._empty(),
             f"pixel on the ground: {_range(self.pixel_m, 'm')}{self._texels()}",
-            f"motion within the detector's time constant of {1e3 * self.time_constant_s:g} ms: "
-            f"{_range(self.motion_px, 'px')}",
+            f"motion within the detector's {self.memory} of {1e3 * self.memory_s:g} ms: {_range(self.motion_px, 'px')}",
             *self.notes,
         ]
 
@@ -153,7 +153,7 @@ def prospect(renderer: "Renderer", trajectory: Trajectory, times_s: Floats, rate
         outline=_outermost(point[:, 1:, :2]), shows_terrain=shows,
         pixel_m=_over(np.median, depth) / camera.focal_length_px,
         motion_px=_motion(trajectory, camera, time_s, point), texel_m=scene.texel_m,
-        time_constant_s=camera.time_constant_s,
+        memory_s=camera.memory_s, memory="integration time" if camera.well_electrons else "time constant",
         length_m=float(np.linalg.norm(np.diff(position[:, :2], axis=0), axis=1).sum()),
         backs=_backs(scene, world.reshape(-1, 3), face), notes=renderer.outlook(pose),
     )  # fmt: skip
@@ -194,7 +194,7 @@ def _motion(trajectory: Trajectory, camera: "Camera", time_s: Floats, point: Flo
     """Motion of the points (N, K, 3) of each frame within a time constant [px]; NaN where unknown."""
     found = np.full(len(time_s), np.nan)
     first, last = trajectory.span_s
-    step = camera.time_constant_s
+    step = camera.memory_s
     late = time_s + step > last
     for chosen, shift in ((~late, step), (late & (time_s - step >= first), -step)):
         if not chosen.any():

@@ -19,7 +19,7 @@ from thermorender.render.flight.frames import exposure_of, movers_of, pose_withi
 from thermorender.render.flight.timed import STEP_S, InstantRendererT, TimedRenderer
 from thermorender.sensor.detector import row_delays
 from thermorender.sensor.movers import Mover
-from thermorender.sensor.schedule import MEMORY
+from thermorender.sensor.schedule import past_s
 from thermorender.trajectory.path import Trajectory
 from thermorender.units import utc_text
 
@@ -89,7 +89,7 @@ class LiveFrames(Generic[InstantRendererT]):
         self.half_readout_s = self.ahead_s = float(row_delays(camera, 1.0 / self.rate_hz)[-1])
         if renderer.scene.tracked_objects:
             # Length of the sensor's memory; the part that an object changes is searched as far ahead.
-            self.ahead_s = 3.0 * self.half_readout_s + MEMORY * camera.time_constant_s
+            self.ahead_s = 3.0 * self.half_readout_s + past_s(camera)
 
     def __repr__(self) -> str:
         taken = "no frame yet" if self.last is None else f"frame {self.last.index} at {self.last.time_s:g} s"
@@ -310,7 +310,7 @@ class LiveFrames(Generic[InstantRendererT]):
     def _forget(self, time_s: float) -> None:
         """Drop samples older than the sensor's memory."""
         camera = self._renderer.scene.camera
-        oldest = time_s - MEMORY * camera.time_constant_s - 1.0 / self.rate_hz - _MARGIN_S
+        oldest = time_s - past_s(camera) - 1.0 / self.rate_hz - _MARGIN_S
         path = self._path
         assert path is not None
         # One sample before stays, to interpolate from.

@@ -99,6 +99,10 @@ def fit_camera(
     `scale` is (kelvin per count, kelvin of count 0) of TIFFs that declare none.
     """
     camera, files = load_camera(base, "base camera"), frame_files(paths)
+    if camera.well_electrons:
+        raise ThermorenderError(
+            f"base camera {camera.name} has a photon detector, whose noise grows with the signal; give a microbolometer"
+        )
     shape = camera.height, camera.width
     spectra, field = Spectra(shape, 1.0 / relative_illumination(camera).astype(np.float64)), Field(shape)
     kept, steps, means, tails = _gathered(files, scale, camera, spectra, field, progress)

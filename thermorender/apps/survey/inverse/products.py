@@ -156,7 +156,8 @@ def _scene(found: Reconstruction, folder: Path) -> None:
     model = str(tables.get("camera", {}).get("model", CAMERA))
     if found.camera != load_camera(source / model if model.endswith(".toml") else model):
         # The poses belong to the camera and lens that the frames were read with.
-        keys = {each.name: getattr(found.camera, each.name) for each in fields(found.camera) if each.name != "name"}
+        absent = "name", *found.camera.absent
+        keys = {each.name: getattr(found.camera, each.name) for each in fields(found.camera) if each.name not in absent}
         formats.write_text(folder / "camera.toml", toml_text(keys, f"{found.camera.name}, as the frames were read."))
         tables["camera"] = {"model": "camera.toml"}
     if "weather" in tables:
