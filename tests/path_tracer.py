@@ -130,7 +130,8 @@ class PathTracer:
             direction = np.where(mirror[:, None], direction - 2.0 * slant[:, None] * self._normal[face],
                                  _off(normal, even))  # fmt: skip
             even = random.random(even.shape)
-            stays = np.minimum(through.max(axis=1, initial=0.0) / FAINT, 1.0)
+            # Faint mirrors may show the sun.
+            stays = np.where(mirror, 1.0, np.minimum(through.max(axis=1, initial=0.0) / FAINT, 1.0))
             on = random.random(len(alive)) < stays
             through, mirrored = through[on] / stays[on, None], mirror[on]
             origin, direction, wavelength, even, alive = (

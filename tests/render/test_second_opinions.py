@@ -304,8 +304,8 @@ def _(folder):
     return Case(scene, tr.pose(0, 0, 2, pitch_deg=-40), 4, less=dark)
 
 
-# A telescope of 2.3°, so that the sun's disc of 0.53° is many pixels wide.
-FAR = {"focal_length_mm": 260.0}
+# A telescope of 0.24°, inside the sun's disc of 0.53°.
+FAR = {"focal_length_mm": 2500.0}
 MIDWAVE = {"band_um": (3.7, 4.8)}
 
 

@@ -112,7 +112,8 @@ class DeviceGlint:
         rough = facets / (4.0 * dr.maximum(to_eye, 1e-4) * square * square * masking)
         aside = dr.squared_norm(view + 2.0 * to_eye * normal - towards)
         smooth = dr.select(aside < SOLID_ANGLE_SR / np.pi, 1.0 / SOLID_ANGLE_SR, 0.0)
-        row, across = _interval(mi, dr.dot(half, towards), len(COSINES))
+        # The facets of a smooth mirror are its face.
+        row, across = _interval(mi, dr.select(slope > 0.0, dr.dot(half, towards), to_eye), len(COSINES))
         row = row + kind * len(COSINES)
         bright = dr.select(to_sun > 0.0, dr.select(slope > 0.0, rough, smooth), 0.0)
         near, far = (self._reflected.at(row + k) for k in (0, 1))
