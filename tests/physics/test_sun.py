@@ -177,3 +177,21 @@ def test_saturation(celsius, over, pascal):
 def test_pressure_of_the_standard_atmosphere(altitude, pascal):
     """US Standard Atmosphere 1976, table I, by geometric altitude; ours uses it as geopotential: 5 m at 5 km."""
     assert humidity.standard_pressure(altitude) == pytest.approx(pascal, rel=6e-4)
+
+
+@pytest.mark.parametrize(
+    # RRTMGP's `solar_source_quiet` (NRLSSI2) for a total of 1361 W m⁻², by band; 1.5 and 0.04 % off.
+    ("low", "high", "w_m2", "tolerance"), [(3.07692, 3.73134, 10.781, 0.016), (3.73134, 12.19512, 14.440, 0.005)],
+)  # fmt: skip
+def test_sunlight_of_bands_is_that_of_rrtmgp(low, high, w_m2, tolerance):
+    wavelength = np.linspace(low, high, 20001)
+    assert np.trapezoid(sun.irradiance(wavelength), wavelength) == pytest.approx(w_m2, rel=tolerance)
+
+
+def test_sunlight_between_3_and_4_micrometres_is_that_of_astm_g173():
+    """Extraterrestrial spectrum of ASTM G173-03 (SMARTS), mean over 0.1 µm from each wavelength [W m⁻² µm⁻¹]."""
+    theirs = {3.0: 23.90, 3.1: 21.03, 3.2: 18.98, 3.3: 16.70, 3.4: 14.95, 3.5: 13.53, 3.6: 12.28, 3.7: 11.08,
+              3.8: 10.06, 3.9: 9.14}  # fmt: skip
+    for start, mean in theirs.items():
+        wavelength = np.linspace(start, start + 0.1, 201)
+        assert np.trapezoid(sun.irradiance(wavelength), wavelength) / 0.1 == pytest.approx(mean, rel=0.018), start

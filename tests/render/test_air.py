@@ -190,10 +190,9 @@ def test_sunlight_above_the_air_agrees_with_modtran():
     wavenumber = np.array([float(row[0]) for row in rows])
     theirs = np.array([float(row[column]) for row in rows]) * 1e4 * wavenumber**2 / 1e4
     ours = sun.irradiance(1e4 / wavenumber)
-    # MODTRAN's sun is that of 1 January (card 3A1), at 0.9833 astronomical units; ours is at one. The remaining 3 % is
-    # the stated error of `irradiance`, which uses one temperature over the whole window.
+    # MODTRAN's sun is that of 1 January (card 3A1), at 0.9833 astronomical units; ours is at one.
     assert lines[6].split()[:3] == ["1", "2", "1"]
-    assert np.abs(ours / 0.9833**2 / theirs - 1.0).max() < 0.03
+    assert np.abs(ours / 0.9833**2 / theirs - 1.0).max() < 0.013
 
 
 def test_grey_sand_is_wrong_and_spectral_nodes_correct_it(tmp_path):

@@ -16,7 +16,10 @@ SUN = "[sun]\nelevation_deg = {}\nazimuth_deg = 0.0\n"
 DISC_RAD = np.sqrt(sun.SOLID_ANGLE_SR / np.pi)
 
 
-def water(folder, material, elevation_deg, extra=""):
+BANDS = pytest.mark.parametrize("camera", ["zenmuse-xt2", "neutrino-lc"])
+
+
+def water(folder, material, elevation_deg, extra="", camera="zenmuse-xt2"):
     """The frames' differences, with and without the sun, of level water: a function of the pose, and the lit Scene."""
     renderers = []
     for name, more in (("dark", ""), ("lit", SUN.format(elevation_deg))):
@@ -26,7 +29,7 @@ def water(folder, material, elevation_deg, extra=""):
             'source = "constant"\nvalue = 0.9', f'source = "material"\nmaterial = "{material}"'
         )
         path.write_text(text.replace("[sky]\ntemperature = 250.0\n", AIR))
-        renderers.append(tr.Renderer(tr.load_scene(folder / name), samples=4))
+        renderers.append(tr.Renderer(tr.load_scene(folder / name).with_camera(camera), samples=4))
     return lambda pose: renderers[1].radiance(pose) - renderers[0].radiance(pose), renderers[1].scene
 
 
@@ -54,9 +57,10 @@ def image_of_the_sun(scene, elevation_deg, height_m, cosine, incidence):
     return float(total)
 
 
+@BANDS
 @pytest.mark.parametrize("elevation_deg", [25.0, 50.0])
-def test_still_water_shows_the_disc_where_it_reflects_it(tmp_path, elevation_deg):
-    more, scene = water(tmp_path, "water_fresnel", elevation_deg)
+def test_still_water_shows_the_disc_where_it_reflects_it(tmp_path, elevation_deg, camera):
+    more, scene = water(tmp_path, "water_fresnel", elevation_deg, camera=camera)
     image = more(tr.pose(0, 0, 100.0, yaw_deg=0.0, pitch_deg=-elevation_deg))
     row, column = np.mgrid[: image.shape[0], : image.shape[1]] + 0.5
     local = scene.camera.directions(np.stack([column, row], axis=-1).reshape(-1, 2)).reshape(*image.shape, -1)
@@ -66,17 +70,19 @@ def test_still_water_shows_the_disc_where_it_reflects_it(tmp_path, elevation_deg
     inside, outside = off < DISC_RAD - 1.5 * pixel, off > DISC_RAD + 1.5 * pixel
     sine = np.sin(np.radians(elevation_deg))
     wanted = image_of_the_sun(scene, elevation_deg, 100.0, sine, sine)
-    # Solar weights of the nodes, and a table of 257 angles.
-    assert inside.sum() > 10 and np.abs(image[inside] / wanted - 1.0).max() < 0.01
+    # Channels, and a table of 257 angles. By Fresnel's equations the reflectance changes by 0.7 % from row to row.
+    assert inside.sum() > 10 and image[inside].mean() == pytest.approx(wanted, rel=4e-3)
+    assert np.abs(image[inside] / wanted - 1.0).max() < 0.02
     # What is left is diffuse light of the sun on the surroundings: none.
     assert np.abs(image[outside]).max() < 1e-4 * wanted
     # All of the disc: its solid angle in pixels.
     assert image.sum() / wanted == pytest.approx(sun.SOLID_ANGLE_SR / pixel**2, rel=0.03)
 
 
-@pytest.mark.parametrize(("elevation_deg", "pitch_deg"), [(50.0, -55.0), (35.0, -35.0), (60.0, -40.0)])
-def test_rough_water_spreads_the_disc_as_facets_drawn_at_random(tmp_path, elevation_deg, pitch_deg):
-    more, scene = water(tmp_path, "water_breeze", elevation_deg)
+@BANDS
+@pytest.mark.parametrize(("elevation_deg", "pitch_deg"), [(50.0, -55.0), (35.0, -35.0), (60.0, -28.0)])
+def test_rough_water_spreads_the_disc_as_facets_drawn_at_random(tmp_path, elevation_deg, pitch_deg, camera):
+    more, scene = water(tmp_path, "water_breeze", elevation_deg, camera=camera)
     image = more(tr.pose(0, 0, 100.0, yaw_deg=0.0, pitch_deg=pitch_deg))
     slope = scene.materials[0].rms_slope
     assert 0.1 < slope < 0.3
