@@ -10,6 +10,7 @@ import re
 import runpy
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -128,12 +129,14 @@ def legend(axis, colours):
                 loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, handlelength=1.2)  # fmt: skip
 
 
-def finish(name, figure, colours):
-    """Write a figure as the picture of a guide."""
-    figure.canvas.draw()
-    drawn = np.asarray(figure.canvas.buffer_rgba())[..., :3].copy()
-    plt.close(figure)
-    save(name, Image.fromarray(drawn), colours, Image.Quantize.MAXCOVERAGE, kmeans=3)
+def finish(name, figures, colours):
+    """Write figures, one below the other, as the picture of a guide."""
+    drawn = []
+    for figure in figures:
+        figure.canvas.draw()
+        drawn.append(np.asarray(figure.canvas.buffer_rgba())[..., :3].copy())
+        plt.close(figure)
+    save(name, Image.fromarray(np.concatenate(drawn)), colours, Image.Quantize.MAXCOVERAGE, kmeans=3)
 
 
 def within(mask):
@@ -165,6 +168,21 @@ def cameras():
     )
 
 
+def midwave():
+    """The shipped heath at noon and at night, through one lens in both bands."""
+    heath = tr.load_scene("heath").with_temperature("balance").with_air("weather")
+    long = tr.load_camera("zenmuse-xt2")
+    pose, rows = tr.pose(0, -40, 40, yaw_deg=160, pitch_deg=-30), []
+    for name, time in (("noon", "2018-09-12T11:30:00Z"), ("midnight", "2018-09-12T23:30:00Z")):
+        first = tr.Renderer(heath.with_weather(time=time).with_camera(long))
+        second = tr.Renderer(first.scene.with_camera(replace(long, band_um=(3.7, 4.8))))
+        kelvin = [each.frame(pose).apparent_temperature for each in (first, second)]
+        low, high = np.percentile(kelvin, (0.5, 99.5))
+        shown = zip(("7.5–13.5 µm", "3.7–4.8 µm"), kelvin, strict=True)
+        rows.append(panels(*((f"{name}, {band}", each[::2, ::2], low, high, "inferno") for band, each in shown))[0])
+    finish("midwave", rows, 48)
+
+
 def python():
     """What a frame shows in a notebook."""
     html = run("guides/python.md", 3)["frame"]._repr_html_()
@@ -188,7 +206,7 @@ def compare():
         ("reference", masked[1], low, high, "inferno"),
         ("error of B fok-1to1", masked[2], -15.0, 15.0, "RdBu_r"),
     )
-    finish("compare", figure, 160)
+    finish("compare", [figure], 160)
 
 
 def export():
@@ -213,7 +231,7 @@ def export():
             left.annotate(f"{each['object']} {each['apparent_k']:.0f} K", (x + width, y + height if under else y),
                           xytext=(5, 0), textcoords="offset points", color="#ffa566", fontsize=8,
                           va="center")  # fmt: skip
-    finish("export", figure, 128)
+    finish("export", [figure], 128)
 
 
 def learned_maps():
@@ -230,7 +248,7 @@ def learned_maps():
         ("translated by mine.npz", kelvin[0], low, high, "inferno"),
         ("radiometric frame", kelvin[1], low, high, "inferno"),
     )
-    finish("learned-maps", figure, 96)
+    finish("learned-maps", [figure], 96)
 
 
 def learned_materials():
@@ -246,7 +264,7 @@ def learned_materials():
     table = np.array([colours.get(value, (0, 0, 0))[:3] for value in range(256)], np.uint8)
     figure, axes = panels(("orthophoto", image), ("materials", table[classes]), aside=115)
     legend(axes[1], {names[value]: table[value] / 255.0 for value in np.argsort(-share) if share[value] >= 0.01})
-    finish("learned-materials", figure, 160)
+    finish("learned-materials", [figure], 160)
 
 
 def flight_logs():
@@ -267,7 +285,7 @@ def campaign():
             (f"{entry.labels['season']}, {entry.labels['view']}", pair.visible),
             (f"at {entry.time[11:16]} UTC", kelvin, *np.percentile(kelvin, (1, 99)), "inferno"),
         ]
-    finish("campaign", panels(*shown)[0], 96)
+    finish("campaign", [panels(*shown)[0]], 96)
 
 
 def examples():
@@ -283,7 +301,7 @@ def examples():
 
 
 ALL = (
-    terrain, survey, cameras, python, compare, export, learned_maps, learned_materials, flight_logs, campaign, examples
+    terrain, survey, cameras, midwave, python, compare, export, learned_maps, learned_materials, flight_logs, campaign, examples
 )  # fmt: skip
 
 if __name__ == "__main__":
