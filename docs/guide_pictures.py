@@ -301,7 +301,8 @@ def examples():
 
 
 ALL = (
-    terrain, survey, cameras, midwave, python, compare, export, learned_maps, learned_materials, flight_logs, campaign, examples
+    terrain, survey, cameras, midwave, python, compare, export, learned_maps, learned_materials, flight_logs, campaign,
+    examples,
 )  # fmt: skip
 
 if __name__ == "__main__":
