@@ -257,9 +257,9 @@ def test_materials_without_data_in_the_band_are_named_at_once():
     fewer = replace(source, without=tuple(found))
     assert learned_materials(fewer, library, [picture], (8.0, 14.0), "scene.toml")[3]["share_unknown"] <= 1.0
     with pytest.raises(
-        ThermorenderError, match=r"3–5 µm; give the scene tables that cover it, or another emissivity.s"
+        ThermorenderError, match=r"2–5 µm; give the scene tables that cover it, or another emissivity.s"
     ):
-        learned_materials(source, library, [picture], (3.0, 5.0), "scene.toml")
+        learned_materials(source, library, [picture], (2.0, 5.0), "scene.toml")
 
 
 def test_scene_of_the_fallback_alone_states_no_deviation():

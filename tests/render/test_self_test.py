@@ -29,7 +29,7 @@ def test_the_verb_prints_rows_in_kelvin_and_exits_with_0(monkeypatch):
     without_rendering(monkeypatch)
     done = CliRunner().invoke(cli.app, ["doctor", "--self-test"])
     assert done.exit_code == 0, done.output
-    assert "expected [K]  found [K]" in done.output and "16 of 16 checks passed" in done.output
+    assert "expected [K]  found [K]" in done.output and "17 of 17 checks passed" in done.output
     assert "FAILED" not in done.output
 
 
@@ -44,7 +44,7 @@ def test_a_relative_error_of_a_millionth_fails_with_status_1(name, failed, monke
     assert done.exit_code == 1
     rows = [line for line in done.output.splitlines() if line.endswith("FAILED")]
     assert rows and all(row.startswith(failed) for row in rows)
-    assert f"{16 - len(rows)} of 16 checks passed" in done.output
+    assert f"{17 - len(rows)} of 17 checks passed" in done.output
 
 
 def test_a_read_out_one_count_off_fails(monkeypatch):

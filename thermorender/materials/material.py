@@ -203,7 +203,9 @@ class Material:
         wavelength, weight = quadrature(lower_um, upper_um)
         weight = weight * spectral_radiance(wavelength, temperature)
         known = np.isfinite(self.emissivity_std)
-        if not known[(self.wavelength_um >= lower_um) & (self.wavelength_um <= upper_um)].any():
+        # Beside a row without a deviation there is none.
+        own = np.interp(wavelength, self.wavelength_um, self.emissivity_std, np.nan, np.nan)
+        if not np.isfinite(own).any():
             return float("nan")
         std = np.interp(wavelength, self.wavelength_um[known], self.emissivity_std[known])
         return float(std @ weight / weight.sum())
