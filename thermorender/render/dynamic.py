@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.materials.material import Material
-from thermorender.render.arrays import Floats, Jit, Mitsuba
+from thermorender.render.arrays import Floats, Jit, Mitsuba, aligned, opaque_vector
 from thermorender.render.geometry import Geometry
 from thermorender.render.layers import OutgoingRadiance
 from thermorender.render.light import contacts, radiosity
-from thermorender.render.light.environment import Environment
+from thermorender.render.light.environment import SUN_POINTS, Environment, Sun
 from thermorender.render.light.gmres import gmres
 from thermorender.render.plan import Plan
 from thermorender.render.reflection.device_tables import DeviceTables, DirectionalTexels, black_of
@@ -28,6 +28,8 @@ from thermorender.scene.scene import Scene
 from thermorender.scene.tracks import TrackedObject
 from thermorender.units import Number
 
+# Points of a static face that are tested for the shadow of a moving object.
+SHADE_POINTS = 16
 # {name of a dynamic object: {column of its track: value}}.
 Objects = Mapping[str, Mapping[str, Number]]
 # As from `DynamicObject.light`.
@@ -93,13 +95,15 @@ class StaticLight:
     reflectance: NDArray[np.float32]  # (F, N) of each face at each node
     # (F + SKY_BINS + 1, N) radiance that leaves faces, and that of the sky's bins and of the surroundings [W m⁻² sr⁻¹].
     seen: NDArray[np.float32]
+    sun: Sun | None  # where included
 
     @classmethod
     def around(cls, environment: Environment, faces: int, nodes: int) -> "StaticLight":
         """Return a StaticLight with zeros for all faces; see `add`."""
         # Rays that hit nothing see these, numbered after the last face.
         outside = np.vstack([environment.sky.mean(axis=0), environment.background]).astype(np.float32)
-        return cls(np.zeros((faces, nodes), np.float32), np.vstack([np.zeros((faces, nodes), np.float32), outside]))
+        seen = np.vstack([np.zeros((faces, nodes), np.float32), outside])
+        return cls(np.zeros((faces, nodes), np.float32), seen, environment.sun)
 
     def add(self, nodes: slice, leaving: Floats, reflectance: Floats) -> None:
         """Set radiance that leaves faces [W m⁻² sr⁻¹] and reflectance at a slice of the nodes, both (F, n)."""
@@ -119,6 +123,9 @@ class DynamicObject:
         self.geometry = Geometry(mi, tracked.surfaces)
         self._rays_of = radiosity.FaceRays(self.geometry, (plan.sampling.rays + 1) // 2)
         self._rays_of.start_in_the_open(contacts.solid(self.geometry), np.arange(self.geometry.face_count))
+        self._sun_rays = radiosity.FaceRays(self.geometry, SUN_POINTS // 2)
+        # The static geometry with middles, half-widths and rays of its faces, for shadows of the sun.
+        self._ground: tuple[Geometry, Floats, Floats, radiosity.FaceRays] | None = None
         # All texels have the same material.
         self._material = int(tracked.surfaces[0].material.flat[0])
         self._emissivity_at = materials[self._material].emissivity_at
@@ -188,6 +195,8 @@ class DynamicObject:
         emitted = spectrum.emissivity[self._material] * spectrum.black([temperature])[0]
         between = seen[:, known:].tocsr()
         source = seen[:, :known] @ static.seen + (between.sum(axis=1))[:, None] * emitted
+        if static.sun is not None:
+            source += self._sunlit(pose, geometry, static.sun.towards)[:, None] * static.sun.facing
         incident = gmres(between, rho, source, 1e-6 * np.abs(source).max(axis=0))
         leaving = emitted + rho * incident
 
@@ -201,6 +210,12 @@ class DynamicObject:
             ends_on.append(face)
             squares.append((change.sum(axis=1) * weight) ** 2)
             changes.append((change @ spectrum.share.T) * weight[:, None])
+        if static.sun is not None:
+            face, hidden_share = self._shaded(pose, geometry, static.sun)
+            change = -hidden_share[:, None] * static.sun.facing * static.reflectance[face]
+            ends_on.append(face)
+            squares.append(np.zeros(len(face)))
+            changes.append(change @ spectrum.share.T)
         faces, row = np.unique(np.concatenate(ends_on), return_inverse=True)
         columns = np.concatenate(changes).T
         added = np.stack([np.bincount(row, change, len(faces)) for change in columns], axis=1)
@@ -209,6 +224,49 @@ class DynamicObject:
         own_square = np.maximum(seen @ reflected**2 - (seen @ reflected) ** 2, 0.0) / rays
         own_light = incident @ spectrum.reflected[self._material].T
         return own_light, (faces, added.astype(np.float32)), (own_square, square)
+
+    def _sunlit(self, pose: Floats, geometry: Geometry, towards: Floats) -> Floats:
+        """The sun's irradiance on each own face over that of a plane normal to its rays, (F,), among static faces."""
+        mi, count = self.geometry.mi, self.geometry.face_count
+        origin, _, _, normal = self._sun_rays(dr.arange(mi.UInt32, count), 0)
+        matrix, origin_m = _matrix(mi, pose)
+        own_way = opaque_vector(mi, pose[:3, :3].T @ towards)
+        cosine = dr.dot(normal, own_way)
+        facing = (cosine > 0.0) & ~self.geometry.caster.ray_test(mi.Ray3f(origin, own_way), active=cosine > 0.0)
+        lit = dr.maximum(cosine, 0.0) * geometry.sunlight(mi.Point3f(matrix @ origin + origin_m), towards, facing)
+        return np.array(lit, np.float64).reshape(count, -1).mean(axis=1)
+
+    def _shaded(self, pose: Floats, geometry: Geometry, sun: Sun) -> tuple[NDArray[np.int64], Floats]:
+        """(Static faces that the object shades, part of `Sun.lit` that it takes from each)."""
+        mi, nothing = self.geometry.mi, (np.zeros(0, np.int64), np.zeros(0))
+        if self._ground is None or self._ground[0] is not geometry:
+            corners = np.concatenate([each.vertices[each.faces] for each in geometry.surfaces])
+            middle = corners.mean(axis=1)
+            reach = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
+            # Copies of a body are not where its faces are.
+            own = [np.full(len(each.faces), each.instances is None) for each in geometry.surfaces]
+            reach[~np.concatenate(own)] = -np.inf
+            self._ground = geometry, middle, reach, radiosity.FaceRays(geometry, SHADE_POINTS // 2)
+        _, middle, reach, rays_of = self._ground
+        low, high = self.box(pose)
+        away = middle - 0.5 * (low + high)
+        ahead = away @ sun.towards
+        # From the axis of the shadow.
+        aside = np.linalg.norm(away - ahead[:, None] * sun.towards, axis=1)
+        radius = 0.5 * np.linalg.norm(high - low)
+        face = np.flatnonzero((aside < radius + reach) & (ahead < radius + reach) & (sun.lit[: len(middle)] > 0.0))
+        if not face.size:
+            return nothing
+        origin, _, _, normal = rays_of(mi.UInt32(aligned(face, np.uint32)), 0)
+        matrix, origin_m = _matrix(mi, np.asarray(np.linalg.inv(pose), np.float64))
+        own_way = opaque_vector(mi, pose[:3, :3].T @ sun.towards)
+        facing = dr.dot(normal, opaque_vector(mi, sun.towards)) > 0.0
+        ray = mi.Ray3f(mi.Point3f(matrix @ origin + origin_m), own_way)
+        hidden = facing & self.geometry.caster.ray_test(ray, active=facing)
+        shares = [np.array(dr.select(each, mi.Float(1.0), mi.Float(0.0))) for each in (hidden, facing)]
+        hidden, facing = (share.reshape(len(face), -1).mean(axis=1) for share in shares)
+        found = np.flatnonzero(hidden > 0.0)
+        return face[found], (sun.lit[face] * hidden / np.maximum(facing, 1e-9))[found]
 
 
 def _matrix(mi: Mitsuba, pose: Floats) -> tuple[Jit, Jit]:

@@ -15,7 +15,7 @@ from thermorender.physics.planck import band_radiance, band_radiance_derivative,
 from thermorender.physics.sun import irradiance
 from thermorender.render.pixels.sampling import STAGES
 from thermorender.render.quality import Sampling
-from thermorender.render.reflection.reflectance import ReflectanceTables, make_tables
+from thermorender.render.reflection.reflectance import ReflectanceTables, directional, make_tables
 from thermorender.render.spectrum import REFERENCE_K, Envelope, Spectrum, kept_spectrum, make_spectrum
 from thermorender.scene.crowns import Crowns
 from thermorender.scene.instances import PATCHES, Instances
@@ -229,7 +229,8 @@ def make_plan(scene: Scene, sampling: Sampling | None = None, kept: "tuple[Plan,
         height = np.sin(np.radians(scene.sun.elevation_deg))
         light = irradiance(wavelength) / np.pi * (height > 0.0)
         sun_mk = float((reflectance @ (light * weight)).max() / per_mk)
-        if sun_mk > 0.1 * sampling.tolerance_mk:
+        # Mirrors show its image, however little it adds to diffuse light.
+        if sun_mk > 0.1 * sampling.tolerance_mk or (sun_mk > 0.0 and directional(scene.materials)):
             envelope = replace(envelope, sun_cosine=float(height))
     spectrum = None
     if kept is not None and bake and kept[0].bake:

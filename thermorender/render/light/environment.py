@@ -13,16 +13,24 @@ from thermorender.render.arrays import Floats, opaque_vector
 from thermorender.render.geometry import Geometry
 from thermorender.render.light import contacts, radiosity
 from thermorender.render.plan import Plan
-from thermorender.render.spectrum import Spectrum
 from thermorender.scene.scene import Scene
 
 # Levels between which the sky changes linearly with altitude, at most this far apart [m].
 _LEVEL_M = 250.0
 _NODE, _WEIGHT = np.polynomial.legendre.leggauss(4)
 # Points of a face from which rays test for the sun, and faces handled at a time.
-_SUN_POINTS = 4
+SUN_POINTS = 4
 _FACES_AT_ONCE = 1 << 19
 _ALL = slice(None)
+
+
+@dataclass(frozen=True)
+class Sun:
+    """The sun's light on the scene."""
+
+    towards: Floats  # (3,) to the sun
+    facing: Floats  # (N,) irradiance of a face towards it, over π, at the spectral nodes [W m⁻² sr⁻¹]
+    lit: Floats  # (F,) irradiance of each face over that of a face towards it
 
 
 @dataclass(frozen=True)
@@ -33,6 +41,7 @@ class Environment:
     level: Floats  # (F, A) interpolation weight of each level at a face's altitude
     background: Floats  # (N,) surroundings below the horizon
     direct: Floats | None = None  # (F, N) the sun's irradiance on each face over π, where included
+    sun: "Sun | None" = None
 
     def light(self, up: Floats, down: Floats, part: slice | NDArray[np.integer] = _ALL) -> Floats:
         """Return the radiance without sunlight on a part of the faces, (n, N), from fractions of sky (n, B) and
@@ -55,7 +64,7 @@ class Environment:
     def at(self, nodes: slice) -> "Environment":
         """Return the Environment at a slice of the nodes."""
         direct = None if self.direct is None else self.direct[:, nodes]
-        return Environment(self.sky[..., nodes], self.level, self.background[nodes], direct)
+        return Environment(self.sky[..., nodes], self.level, self.background[nodes], direct, self.sun)
 
 
 def even(sky: Floats, background: Floats, faces: int) -> Environment:
@@ -77,8 +86,13 @@ def of_scene(scene: Scene, plan: Plan, geometry: Geometry, touching: NDArray[np.
     position = (height - low) / max(high - low, 1e-9) * (len(levels) - 1)
     level = np.maximum(1.0 - np.abs(position[:, None] - np.arange(len(levels))), 0.0)
     sky = np.stack([spectrum.of_air(sky_bins(scene.air, at)) for at in levels])
-    direct = _sunlight(scene, spectrum, geometry, low, touching) if plan.sun else None
-    return Environment(sky, level, background, direct)
+    if not plan.sun:
+        return Environment(sky, level, background)
+    assert scene.sun is not None
+    towards = sun.direction(scene.sun.elevation_deg, scene.sun.azimuth_deg)
+    facing = spectrum.gathered(spectrum.points.sunlight(low, towards[2])) / np.pi
+    light = Sun(towards, facing, sunlit(geometry, towards, touching))
+    return Environment(sky, level, background, light.lit[:, None] * facing, light)
 
 
 def sky_bins(air: Atmosphere, at_m: float) -> Floats:
@@ -92,14 +106,10 @@ def sky_bins(air: Atmosphere, at_m: float) -> Floats:
     return (weight[..., None] * air.sky_radiance(at_m, cosine)).sum(axis=1) / weight.sum(axis=1, keepdims=True)
 
 
-def _sunlight(
-    scene: Scene, spectrum: Spectrum, geometry: Geometry, at_m: float, touching: NDArray[np.integer]
-) -> Floats:
-    """The sun's irradiance on each face over π, (F, N) [W m⁻²]."""
-    assert scene.sun is not None
-    mi, towards = geometry.mi, sun.direction(scene.sun.elevation_deg, scene.sun.azimuth_deg)
-    light = spectrum.gathered(spectrum.points.sunlight(at_m, towards[2])) / np.pi
-    rays_of, seen = radiosity.FaceRays(geometry, _SUN_POINTS // 2), np.empty(geometry.face_count)
+def sunlit(geometry: Geometry, towards: Floats, touching: NDArray[np.integer]) -> Floats:
+    """Return the sun's irradiance on each face over that of a plane normal to its rays, (F,)."""
+    mi = geometry.mi
+    rays_of, seen = radiosity.FaceRays(geometry, SUN_POINTS // 2), np.empty(geometry.face_count)
     if len(touching):
         rays_of.start_in_the_open(contacts.solid(geometry), touching)
     direction = opaque_vector(mi, towards)
@@ -110,4 +120,4 @@ def _sunlight(
         cosine = dr.dot(normal, direction)
         lit = dr.maximum(cosine, 0.0) * geometry.sunlight(origin, towards, cosine > 0.0)
         seen[first : first + count] = np.array(lit).reshape(count, -1).mean(axis=1)
-    return seen[:, None] * light
+    return seen

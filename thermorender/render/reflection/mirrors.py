@@ -103,7 +103,10 @@ def _reflected(
     reflected = by(seen, length)
     if glint and tables.glint is not None:
         sun = tables.glint.seen(kind, normal, view)
-        free = ~first.geometry.caster.ray_test(mi.Ray3f(origin, tables.glint.direction), coherent=True)
+        free = mi.Bool(True)
+        for layer in layers:
+            ray = mi.Ray3f(*transformed(first.view, layer.view, origin, tables.glint.direction))
+            free &= ~layer.geometry.caster.ray_test(ray, coherent=True)
         lit = dr.select(free, 1.0, 0.0)
         if first.geometry.crowns is not None:
             lit = dr.select(free, first.geometry.crowns_passed(origin, tables.glint.towards, free), 0.0)
