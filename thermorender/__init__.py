@@ -1,4 +1,4 @@
-"""thermorender: long-wave infrared frames of terrain flights, radiometrically true, in kelvin.
+"""thermorender: thermal infrared frames of terrain flights, radiometrically true, in kelvin.
 
     import thermorender as tr
     scene = tr.load_scene("heath")

@@ -248,7 +248,7 @@ def test_band_is_selected_and_wrong_bands_are_refused():
     assert narrow.planck(300.0).sum() == pytest.approx(band_radiance(300.0, 8.5, 11.0), rel=1e-9)
     with pytest.raises(
         ThermorenderError,
-        match=r"covers 6.757–15.87 and 3.077–4.808 µm, which does not include the camera's band 3–5 µm",
+        match=r"covers 6.757–15.87 and 3.077–4.807 µm, which does not include the camera's band 3–5 µm",
     ):
         air.in_band(3.0, 5.0)
 

@@ -5,7 +5,7 @@ import pytest
 from support import slow
 
 import thermorender as tr
-from scenes import scene_object, write_terrain
+from scenes import plane, scene_object, write_mesh, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.formats import write_image
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
@@ -59,6 +59,54 @@ def test_tracked_object_is_lit_as_a_static_one(tmp_path, shape, size):
     cold = scene_with(tmp_path / "cold", "time_s,temperature_k\n0,300\n", shape, size)
     change = static.apparent_temperature - tr.Renderer(cold, rays=rays).frame(pose).apparent_temperature
     assert 1e3 * change[near].mean() > 3.0 * 3.0 * error / np.sqrt(faces)
+
+
+def in_the_sun(folder, track, material="aluminium_sheet", camera="neutrino-lc", size=(8, 8, 0.2), ground="concrete"):
+    """A plate over level ground in the sun, at rest or on a track, under a mid-wave camera."""
+    extra = scene_object("plate", size, [0, 0, 6.0], 295.0, material)
+    if track:
+        extra += 'track = "track.csv"\n'
+    extra += "[sun]\nelevation_deg = 60.0\nazimuth_deg = 180.0\n"
+    mesh = plane(60.0)
+    for _ in range(5):
+        mesh = mesh.subdivide()
+    write_mesh(folder, mesh, 295.0, extra=extra)
+    (folder / "track.csv").write_text("time_s,temperature_k\n0,295\n")
+    path = folder / "scene.toml"
+    text = path.read_text().replace('source = "constant"\nvalue = 0.9', f'source = "material"\nmaterial = "{ground}"')
+    path.write_text(text.replace("[sky]\ntemperature = 250.0\n", '[atmosphere]\nstandard = "midlatitude-summer"\n'))
+    return tr.Renderer(tr.load_scene(folder).with_camera(camera), quality="high")
+
+
+@pytest.mark.parametrize("material", ["aluminium_sheet", *slow("roof_rubber_white")])
+def test_the_sun_lights_what_moves_and_it_casts_a_shadow(tmp_path, material):
+    """As at rest, in 3.7–4.8 µm: 31 K of sunlight on aluminium, 4 K in the shadow on concrete."""
+    pose = tr.pose(0, 0, 30, pitch_deg=-90)
+    still, moving = (in_the_sun(tmp_path / str(track), track, material).frame(pose) for track in (False, True))
+    kelvin = [frame.apparent_temperature.astype(np.float64) for frame in (still, moving)]
+    top, east, north = (still.truth["position"][..., axis] for axis in (2, 0, 1))
+    plate = top > 6.0
+    # 6 m over tan 60°.
+    shade = (top < 0.1) & (np.abs(east) < 2.5) & (north > 4.5) & (north < 6.5)
+    open_ground = (top < 0.1) & (np.abs(east) > 6.0)
+    assert plate.sum() > 5000 and shade.sum() > 1000
+    assert np.abs(np.mean(kelvin[1][plate] - kelvin[0][plate])) < 0.2
+    assert np.median(kelvin[0][open_ground]) - np.median(kelvin[0][shade]) > 2.0
+    assert np.median(kelvin[1][shade]) == pytest.approx(np.median(kelvin[0][shade]), abs=0.3)
+    assert np.abs(np.median(kelvin[1][open_ground] - kelvin[0][open_ground])) < 0.1
+
+
+def test_a_moving_roof_hides_the_image_of_the_sun_in_water(tmp_path):
+    pose = tr.pose(0, 30, 30 * np.sqrt(3.0), yaw_deg=180, pitch_deg=-60)
+    still, moving = (
+        in_the_sun(tmp_path / str(track), track, "paint_black", ground="water_breeze").frame(pose) for track in (0, 1)
+    )
+    north = still.truth["position"][..., 1]
+    water = (still.truth["position"][..., 2] < 0.1) & (np.abs(still.truth["position"][..., 0]) < 2.5)
+    shaded = water & (north > 4.5) & (north < 6.5)
+    assert shaded.sum() > 100
+    difference = (moving.apparent_temperature - still.apparent_temperature)[shaded]
+    assert np.abs(np.median(difference)) < 0.2
 
 
 @pytest.mark.parametrize("kelvin", [*slow(300.0, 340.0), 900.0])

@@ -1,5 +1,7 @@
 """The sun in mirrors: its disc in a smooth one, and its spread image in rough water against facets drawn at random."""
 
+from dataclasses import replace
+
 import air_by_steps
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from thermorender.physics import sun
 from thermorender.physics.fresnel import smooth_emissivity
 from thermorender.physics.planck import spectral_radiance
 from thermorender.render.plan import make_plan
+from thermorender.sensor.camera import load_camera
 
 AIR = '[atmosphere]\nstandard = "midlatitude-summer"\n'
 SUN = "[sun]\nelevation_deg = {}\nazimuth_deg = 0.0\n"
@@ -21,7 +24,7 @@ DISC_RAD = np.sqrt(sun.SOLID_ANGLE_SR / np.pi)
 BANDS = pytest.mark.parametrize("camera", ["zenmuse-xt2", "neutrino-lc"])
 
 
-def water(folder, material, elevation_deg, extra="", camera="zenmuse-xt2"):
+def water(folder, material, elevation_deg, extra="", camera="zenmuse-xt2", air=AIR):
     """The frames' differences, with and without the sun, of level water: a function of the pose, and the lit Scene."""
     renderers = []
     for name, more in (("dark", ""), ("lit", SUN.format(elevation_deg))):
@@ -30,7 +33,7 @@ def water(folder, material, elevation_deg, extra="", camera="zenmuse-xt2"):
         text = path.read_text().replace(
             'source = "constant"\nvalue = 0.9', f'source = "material"\nmaterial = "{material}"'
         )
-        path.write_text(text.replace("[sky]\ntemperature = 250.0\n", AIR))
+        path.write_text(text.replace("[sky]\ntemperature = 250.0\n", air))
         renderers.append(tr.Renderer(tr.load_scene(folder / name).with_camera(camera), samples=4))
     return lambda pose: renderers[1].radiance(pose) - renderers[0].radiance(pose), renderers[1].scene
 
@@ -84,12 +87,14 @@ def test_still_water_shows_the_disc_where_it_reflects_it(tmp_path, elevation_deg
 @BANDS
 @pytest.mark.parametrize(("elevation_deg", "pitch_deg"), [(50.0, -55.0), (35.0, -35.0), (60.0, -28.0)])
 def test_rough_water_spreads_the_disc_as_facets_drawn_at_random(tmp_path, elevation_deg, pitch_deg, camera):
-    more, scene = water(tmp_path, "water_breeze", elevation_deg, camera=camera)
-    image = more(tr.pose(0, 0, 100.0, yaw_deg=0.0, pitch_deg=pitch_deg))
+    _, scene = water(tmp_path, "water_breeze", elevation_deg, camera=camera)
+    pose = tr.pose(0, 0, 100.0, yaw_deg=0.0, pitch_deg=pitch_deg)
+    # A few millikelvins in the long wave, less than two plans may differ by.
+    found = tr.Renderer(scene).parts_at(pose, [[256, 320]])[0].radiance["sun"]
     slope = scene.materials[0].rms_slope
     assert 0.1 < slope < 0.3
     random, towards = np.random.default_rng(5), sun.direction(elevation_deg, 0.0)
-    seen = -tr.pose(0, 0, 100.0, yaw_deg=0.0, pitch_deg=pitch_deg)[:3, 2]
+    seen = -pose[:3, 2]
     half = towards + seen
     half /= np.linalg.norm(half)
     # Slopes around those that reflect the sun to the camera, weighed by their density in the plane; light that meets a
@@ -108,7 +113,6 @@ def test_rough_water_spreads_the_disc_as_facets_drawn_at_random(tmp_path, elevat
     error = 1.0 / np.sqrt(near.sum())
     disc = image_of_the_sun(scene, elevation_deg, 100.0, seen[2], float(half @ towards))
     wanted = disc * sun.SOLID_ANGLE_SR * share
-    found = float(image[256, 320])
     # The cone's width, and facets that hide one another: 1 % in these views.
     assert near.sum() > 10_000 and found == pytest.approx(wanted, rel=0.01 + 3.0 * error)
 
@@ -142,3 +146,30 @@ def test_a_plan_leaves_a_mirror_out_only_where_it_and_the_sun_in_it_do_not_matte
 def replace_sun(scene):
     """The scene without its sun."""
     return tr.load_scene(scene.spec.folder.parent / "dark")
+
+
+def test_pixels_wider_than_the_disc_show_all_of_its_light(tmp_path):
+    """Pixels of 0.75°: light over the image against the disc's, in views that shift it by parts of a pixel."""
+    wide = replace(load_camera("ideal"), width=64, height=48, focal_length_mm=1.3, pixel_pitch_um=17.0)
+    more, scene = water(tmp_path, "water_fresnel", 40.0, camera=wide)
+    sine, pixel = np.sin(np.radians(40.0)), 1.0 / wide.focal_length_px
+    wanted = image_of_the_sun(scene, 40.0, 100.0, sine, sine) * sun.SOLID_ANGLE_SR
+    for turn in (0.0, 0.2, 0.35, 0.5):
+        image = more(tr.pose(0, 0, 100.0, yaw_deg=turn, pitch_deg=-40.0 + 0.7 * turn))
+        assert 0.5 * wanted < image.sum() * pixel**2 < 1.6 * wanted, turn
+
+
+@pytest.mark.parametrize("tolerance_mk", [5.0, 1000.0])
+def test_a_loose_tolerance_keeps_the_image_of_the_sun(tmp_path, tolerance_mk):
+    _, scene = water(tmp_path, "water_fresnel", 40.0)
+    frame = tr.Renderer(scene, tolerance_mk=tolerance_mk).frame(tr.pose(0, 0, 100.0, yaw_deg=0.0, pitch_deg=-40.0))
+    assert frame.apparent_temperature.max() > 400.0
+
+
+@pytest.mark.parametrize("camera", ["zenmuse-xt2", "neutrino-lc"])
+def test_haze_and_a_low_sun_leave_channels_that_show_it(tmp_path, camera):
+    hazy = AIR.replace("midlatitude-summer", "tropical") + 'aerosol = "urban-5km"\n'
+    more, scene = water(tmp_path, "water_fresnel", 12.0, camera=camera, air=hazy)
+    image = more(tr.pose(0, 0, 20.0, yaw_deg=0.0, pitch_deg=-12.0))
+    sine = np.sin(np.radians(12.0))
+    assert image.max() == pytest.approx(image_of_the_sun(scene, 12.0, 20.0, sine, sine), rel=0.04)

@@ -150,7 +150,7 @@ NOTHING = EmissivitySpec("constant", value=0.9)
         (lambda s: s.with_surfaces(terrain_count=0), "terrain_count=0 is not allowed"),
         (lambda s: s.with_camera("none"), "with_camera: camera 'none' is unknown; give one of"),
         (lambda s: s.with_camera(640), "with_camera was given a int; give the name of a camera"),
-        (lambda s: s.with_camera(dataclasses.replace(CAMERA, band_um=(2.0, 5.0))), "grass_green' was asked for its emissivity at 2–5 µm"),
+        (lambda s: s.with_camera(dataclasses.replace(CAMERA, band_um=(2.0, 5.0))), "its emissivity at 2–5 µm"),
         (lambda s: s.with_air("mars"), "standard='mars' is unknown"),
         (lambda s: s.with_air(3), "with_air was given a int; give the name of a standard atmosphere"),
         (lambda s: s.with_sky(-5.0), "with_sky: kelvin=-5 is"),

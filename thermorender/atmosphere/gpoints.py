@@ -103,7 +103,7 @@ class GPoints:
             found = _shipped(name)
             if found.covers(band_um):
                 return found
-            spans.append("{:.4g}–{:.4g}".format(*found.span_um))
+            spans.append(found.span_text)
         raise ThermorenderError(
             f"the atmosphere covers {' and '.join(spans)} µm, which does not include the camera's band "
             f"{band_um[0]:g}–{band_um[1]:g} µm; give another atmosphere or a narrower band"
@@ -113,6 +113,15 @@ class GPoints:
     def span_um(self) -> tuple[float, float]:
         """Limits of all bands [µm]."""
         return 1e4 / float(self.wavenumber[-1, 1]), 1e4 / float(self.wavenumber[0, 0])
+
+    @property
+    def span_text(self) -> str:
+        """The limits in words, with four digits inside them."""
+        ends = []
+        for value, inwards in zip(self.span_um, (np.ceil, np.floor), strict=True):
+            unit = 10.0 ** (3 - int(np.floor(np.log10(value))))
+            ends.append(f"{inwards(value * unit) / unit:g}")
+        return "–".join(ends)
 
     def covers(self, band_um: tuple[float, float]) -> bool:
         """Return whether a band [µm] is within the tables'."""

@@ -152,7 +152,7 @@ def _covered(tables: GPoints, band_um: tuple[float, float]) -> tuple[float, floa
     lower, upper = band_um
     if not tables.covers(band_um):
         raise ThermorenderError(
-            f"the atmosphere covers {tables.span_um[0]:.4g}–{tables.span_um[1]:.4g} µm, which does not include the "
+            f"the atmosphere covers {tables.span_text} µm, which does not include the "
             f"camera's band {lower:g}–{upper:g} µm; give another atmosphere or a narrower band"
         )
     return 1e4 / upper, 1e4 / lower

@@ -9,7 +9,7 @@ from thermorender.cli.registry import Verbs
 
 app = typer.Typer(
     cls=Verbs,
-    help="Long-wave infrared frames of terrain flights, radiometrically true, in kelvin.",
+    help="Thermal infrared frames of terrain flights, radiometrically true, in kelvin.",
     add_completion=False,
     pretty_exceptions_enable=False,
     # Markup would swallow units such as [m], here and in all verbs.

@@ -39,7 +39,7 @@ class DeviceScene:
     ) -> None:  # fmt: skip
         scene, plan, mi = baked.scene, baked.plan, geometry.mi
         self.geometry, self._mi = geometry, mi
-        tables = DeviceTables(mi, plan.specular, scene, plan.spectrum) if plan.specular else None
+        tables = DeviceTables(mi, plan.specular, scene, plan) if plan.specular else None
         directional = None
         if tables and baked.mirror_black is not None:
             number = kept.mirrors if kept is not None else tables.number[flat(scene.surfaces, "material")]

@@ -230,8 +230,9 @@ def make_plan(scene: Scene, sampling: Sampling | None = None, kept: "tuple[Plan,
         light = irradiance(wavelength) / np.pi * (height > 0.0)
         sun_mk = float((reflectance @ (light * weight)).max() / per_mk)
         # Mirrors show its image, however little it adds to diffuse light.
-        if sun_mk > 0.1 * sampling.tolerance_mk or (sun_mk > 0.0 and directional(scene.materials)):
-            envelope = replace(envelope, sun_cosine=float(height))
+        mirrors = sun_mk > 0.0 and bool(directional(scene.materials))
+        if mirrors or sun_mk > 0.1 * sampling.tolerance_mk:
+            envelope = replace(envelope, sun_cosine=float(height), glint=mirrors)
     spectrum = None
     if kept is not None and bake and kept[0].bake:
         spectrum = kept_spectrum(kept[0].spectrum, kept[1].materials, scene.materials, envelope)

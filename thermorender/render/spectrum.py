@@ -40,6 +40,9 @@ _JUDGED_PATHS = 48
 # Weight of the light's colour (ln of warm over cold Planck spectra) relative to reflectance; on the shipped scenes
 # 0.03 … 0.3 need about as many nodes.
 _COLOUR_WEIGHT = 0.1
+# Size of the sun's image among what channels represent [mK]. It is brighter by orders of magnitude: a tolerance of 5 mK
+# is a thousandth of it.
+_GLINT_MK = 5000.0
 # Tables of materials are piecewise linear with knots every 0.05 µm.
 _PANEL_UM = 0.05
 # Directions of the sky, and of paths from cameras, from straight up or down to grazing.
@@ -183,6 +186,7 @@ class Envelope:
     air: Atmosphere | None
     altitude_m: tuple[float, float]  # of the lowest and the highest surface above sea level
     sun_cosine: float | None = None  # of the sun's zenith angle, where sunlight is included
+    glint: bool = False  # whether mirrors show the sun
 
     @property
     def temperatures(self) -> list[float]:
@@ -436,7 +440,12 @@ def _shown(case: _Case) -> Floats:
     node = case.points.node
     reflected = [_gathered((1.0 - emissivity) * case.light, node) for emissivity in case.spectra]
     shown = np.concatenate([_gathered(case.spectra[m] * black, node) + reflected[m] for m, black in own])
-    return np.asarray(shown * (1e3 * _kelvin(shown.sum(axis=1), case.envelope.band_um)[:, None]))
+    shown = np.asarray(shown * (1e3 * _kelvin(shown.sum(axis=1), case.envelope.band_um)[:, None]))
+    if not case.envelope.glint:
+        return shown
+    assert case.envelope.sun_cosine is not None
+    lit = _gathered(case.points.sunlight(case.envelope.altitude_m[0], case.envelope.sun_cosine), node)
+    return np.concatenate([shown, [lit * (_GLINT_MK / lit.sum())]])
 
 
 def _worst_mk(case: _Case, shown: Floats, basis: Floats, solver: Floats) -> float:

@@ -4,6 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from thermorender.defaults import BAND_UM
+from thermorender.physics.planck import band_radiance
 from thermorender.scene import albedo, open_ground
 from thermorender.scene.spec import WEATHER
 from thermorender.scene.stages import air_in_weather
@@ -14,15 +16,16 @@ if TYPE_CHECKING:
     from thermorender.scene.scene import Scene
 
 # Differences between a declared air or sky and the weather that are reported: of the air's temperature near the ground
-# [K], and of the sky's irradiance in the camera's band [W m⁻²]. Outside the band a clear sky is nearly as warm as the
-# air, so the second is nearly the difference of the long-wave.
-_AIR_K, _SKY_W_M2 = 5.0, 15.0
+# [K], and of the sky's irradiance in 7.5–13.5 µm [W m⁻²]. Outside that band a clear sky is nearly as warm as the air,
+# so the second is nearly the difference of the long-wave. Another band's limit is the same share of a blackbody.
+_AIR_K, _SKY_W_M2, _BLACK_K = 5.0, 15.0, 280.0
 # Water in snow that nobody recorded [mm], and difference of rooms from the air outside [K], that are reported.
 _LIKELY_SNOW_MM, _INDOORS_K = 3.0, 12.0
 
 
 def of_sky(scene: "Scene") -> tuple[str, ...]:
-    """Return sentences on a declared air or sky that differs from that of the weather by more than 5 K or 15 W/m²."""
+    """Return sentences on a declared air or sky that differs from that of the weather by more than 5 K or 15 W/m² in
+    the long wave."""
     spec = scene.spec
     of_weather = spec.atmosphere is not None and spec.atmosphere.standard == WEATHER
     if scene.time is None or of_weather:
@@ -43,10 +46,12 @@ def of_sky(scene: "Scene") -> tuple[str, ...]:
     ]
     radiance = other.planck(np.array(kelvin, np.float64)).sum(axis=-1)
     difference = float(np.pi * (radiance[0] - radiance[1]))
-    if abs(difference) > _SKY_W_M2:
+    share = band_radiance(_BLACK_K, *scene.camera.band_um) / band_radiance(_BLACK_K, *BAND_UM)
+    if abs(difference) > _SKY_W_M2 * share:
+        digits = 0 if abs(difference) >= 10.0 else 2
         found.append(
             f"the declared sky is {kelvin[0]:.0f} K in the camera's band, and the weather's {kelvin[1]:.0f} K {when}: "
-            f"{difference:+.0f} W/m² on the ground; {advice}"
+            f"{difference:+.{digits}f} W/m² on the ground; {advice}"
         )
     return tuple(found)
 

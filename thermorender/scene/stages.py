@@ -237,13 +237,12 @@ def sun(
     """Return the sun that shines on the scene, or None.
 
     If temperatures follow the weather, it is the sun's position at `time`, provided that its direct irradiance is above
-    120 W m⁻²; until they are solved there is none. Otherwise it is the declared one.
+    120 W m⁻²; until they are solved there is none. Otherwise it is the declared one, or without one that of a weather.
     """
-    if not temperatures.state.weather_driven:
+    if spec_sun is not None or time is None:
         return spec_sun
     if air is None or not temperatures.state.solved:
         return None
-    assert time is not None
     azimuth, elevation = map(float, weather().sun(time))
     shines = elevation > 0.0 and float(weather().at(time).direct_w_m2) > _SUNSHINE_W_M2
     return SunSpec(elevation, azimuth) if shines else None

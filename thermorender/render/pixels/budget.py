@@ -148,13 +148,17 @@ def _gases(
 
 def emissivity_mk(baked: LoadedLight, images: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
     """Return the standard deviation of each pixel due to a learned emissivity, (H, W) [mK at 300 K]; NaN where none. It
-    is an upper estimate: the surface reflects the open sky, without air before it. `images` are those of
-    `Frame.truth`."""
+    is an upper estimate: the surface reflects the open sky, or sky and sun at normal incidence, without air before it.
+    `images` are those of `Frame.truth`."""
     scene, band = baked.scene, baked.scene.camera.band_um
     known = np.isfinite(images["kinetic_temperature"])
     contrast = np.full(known.shape, np.nan)
     contrast[known] = band_radiance(images["kinetic_temperature"][known], *band)
-    contrast = np.abs(contrast - band_radiance(scene.sky_temperature, *band))
+    contrast = contrast - band_radiance(scene.sky_temperature, *band)
+    lit, cosine = 0.0, baked.plan.spectrum.envelope.sun_cosine
+    if cosine is not None:
+        lit = baked.plan.spectrum.points.sunlight(scene.altitude_m, cosine).sum() / np.pi
+    contrast = np.maximum(np.abs(contrast), np.abs(contrast - lit))
     return np.asarray(images["emissivity_std"] * contrast / baked.plan.radiance_per_mk, dtype=np.float64)
 
 

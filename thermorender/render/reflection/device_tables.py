@@ -30,9 +30,10 @@ class DirectionalTexels:
 
 
 class DeviceTables:
-    """ReflectanceTables on the device."""
+    """ReflectanceTables on the device, for the rays of a Plan."""
 
-    def __init__(self, mi: Mitsuba, tables: ReflectanceTables, scene: Scene, spectrum: Spectrum) -> None:
+    def __init__(self, mi: Mitsuba, tables: ReflectanceTables, scene: Scene, plan: Plan) -> None:
+        spectrum, spacing = plan.spectrum, 1.0 / (scene.camera.focal_length_px * plan.sampling.samples**0.5)
         self.number, self._mi = tables.number, mi
         self._path = None if scene.air is None else _paths(mi, scene.air, tables.at_m, scene, spectrum)
         self._at_m = None if scene.air is None else dr.opaque(mi.Float, tables.at_m)
@@ -41,7 +42,7 @@ class DeviceTables:
         self._directions = tables.environment.shape[2] - 1
         self._matrix = Channels(mi, tables.matrix.reshape(-1, self.count * (self.count + 1)))
         self._environment = Channels(mi, tables.environment.reshape(-1, self.count))
-        self.glint = None if tables.glint is None else DeviceGlint(mi, tables.glint)
+        self.glint = None if tables.glint is None else DeviceGlint(mi, tables.glint, spacing)
 
     def reflected(self, kind: Jit, cosine: Jit, black: list[Jit], seen: list[Jit], valid: Jit, up: Jit) -> list[Jit]:
         """Return the light that materials reflect into each channel minus that of a blackbody, [Float]. `kind` is the
@@ -88,9 +89,10 @@ class DeviceTables:
 
 
 class DeviceGlint:
-    """A Glint on the device."""
+    """A Glint on the device, for rays at a `spacing` [rad]: the disc is never smaller than that one meets it."""
 
-    def __init__(self, mi: Mitsuba, glint: Glint) -> None:
+    def __init__(self, mi: Mitsuba, glint: Glint, spacing: float) -> None:
+        self._solid_sr = dr.opaque(mi.Float, max(SOLID_ANGLE_SR, float(np.pi) * spacing**2))
         self._mi, self.towards, self.direction = mi, glint.towards, opaque_vector(mi, glint.towards)
         self._slope = mi.Float(aligned(glint.slope))
         self._reflected = Channels(mi, glint.reflected.reshape(-1, glint.reflected.shape[-1]))
@@ -111,7 +113,7 @@ class DeviceGlint:
         masking = 1.0 + _masking(to_eye, variance) + _masking(to_sun, variance)
         rough = facets / (4.0 * dr.maximum(to_eye, 1e-4) * square * square * masking)
         aside = dr.squared_norm(view + 2.0 * to_eye * normal - towards)
-        smooth = dr.select(aside < SOLID_ANGLE_SR / np.pi, 1.0 / SOLID_ANGLE_SR, 0.0)
+        smooth = dr.select(aside < self._solid_sr / float(np.pi), 1.0 / self._solid_sr, 0.0)
         # The facets of a smooth mirror are its face.
         row, across = _interval(mi, dr.select(slope > 0.0, dr.dot(half, towards), to_eye), len(COSINES))
         row = row + kind * len(COSINES)
