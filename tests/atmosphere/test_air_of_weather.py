@@ -1,5 +1,7 @@
 """The air that follows the weather: against standard atmospheres, through scene files and edits, and contradictions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from heat_support import short_simulations
@@ -178,5 +180,10 @@ def test_a_declared_sky_or_air_that_contradicts_the_weather_is_named(folder):
     assert scene.with_sky(near_k).sky_notes == ()
     (note,) = scene.with_sky(200.0).sky_notes
     assert "the declared sky is 200 K in the camera's band, and the weather's" in note and "with_air('weather')" in note
+    # The sky of the long wave is none of the mid-wave, where it shows less power and the same contradiction.
+    mid = scene.with_camera(replace(scene.camera, band_um=(3.7, 4.8)))
+    assert mid.with_sky(mid.sky_temperature).sky_notes == () and mid.sky_temperature > near_k + 10.0
+    (note,) = mid.with_sky(near_k).sky_notes
+    assert "the declared sky is" in note
     cold, _ = scene.with_air("subarctic-winter").sky_notes
     assert "the declared air is 257.2 K near the ground, and the weather's 297.0 K at 2018-07-28T12:00:00Z" in cold

@@ -361,6 +361,11 @@ def test_the_sun_position_follows_the_instant(tmp_path):
     assert (found.azimuth_deg, found.elevation_deg) == pytest.approx([float(x) for x in scene.weather.sun(NOON)])
     night = scene.at("2018-07-28T01:00Z")
     assert tr.Renderer(night, rays=4, samples=1).scene.sun is None
+    # The weather's sun also shines on temperatures that do not follow it, unless another is declared.
+    constant = scene.with_temperature(300.0)
+    assert constant.sun == found and constant.with_sky(250.0).sun is None
+    declared = constant.with_sun(20.0, 90.0).sun
+    assert (declared.elevation_deg, declared.azimuth_deg) == (20.0, 90.0)
 
 
 # --- flights ------------------------------------------------------------------------------------------------------
