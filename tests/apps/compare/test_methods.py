@@ -166,6 +166,9 @@ def test_a_camera_of_another_band_leaves_a_maps_temperatures(tmp_path):
     """B, calibrated B and the terms under a mid-wave camera, with a map of the long wave."""
     heights = np.random.default_rng(1).uniform(0.0, 0.3, (2, 32, 32))
     lands = [black(write_terrain(tmp_path / f"land{k}", heights[k], structured(5 + k), extra=WEATHER)) for k in (0, 1)]
+    text = (lands[1] / "scene.toml").read_text()
+    air = '[atmosphere]\nstandard = "midlatitude-summer"\n'
+    (lands[1] / "scene.toml").write_text(text[: text.index("[sky]")] + air + text[text.index("[truth]") :])
     # Its intensities follow the colours, which have nothing to do with the temperatures.
     grey = TemperatureMap("grey", "correlation-1to1", Correlation(np.full((1, 1, 3), 0.2), 0.2), (280.0, 300.0), BAND,
                           0.5, (0.01, 5.0), "zenmuse-xt2", 255.0, "a test")  # fmt: skip
@@ -183,13 +186,14 @@ def test_a_camera_of_another_band_leaves_a_maps_temperatures(tmp_path):
     # Refitted bounds are of counts, whose quartiles reach farther in the mid-wave.
     for label in ("B grey", "C1 grey", "B grey, calibrated", "C1 grey, calibrated"):
         one, other = (errors(each, label) for each in (long, mid))
-        # Pixels mix radiance, and the mid-wave weighs warm parts more.
-        assert other["me_k"] == pytest.approx(one["me_k"], abs=0.25), label
-        assert other["mae_k"] == pytest.approx(one["mae_k"], abs=0.25), label
+        # Pixels mix radiance, the mid-wave weighs warm parts more, and B has no air.
+        assert other["me_k"] == pytest.approx(one["me_k"], abs=0.5), label
+        assert other["mae_k"] == pytest.approx(one["mae_k"], abs=0.5), label
     for one, other in zip(long["scenes"], mid["scenes"], strict=True):
         assert other["terms_apart_mk"] <= 1.0
-        for term, own in other["terms"]["grey"]["terms"].items():
-            assert own["me_k"] == pytest.approx(one["terms"]["grey"]["terms"][term]["me_k"], abs=0.1), term
+        for term in ("geometry", "emission", "reflection"):
+            own, known = (each["terms"]["grey"]["terms"][term]["me_k"] for each in (other, one))
+            assert own == pytest.approx(known, abs=0.05), term
     notes = [[note for note in each["notes"] if "another band" in note] for each in (long, mid)]
     assert not notes[0] and len(notes[1]) == 2
     assert notes[1][0].startswith("Learned map 'grey' gives apparent temperatures of 7.5–13.5 µm, another band than")
