@@ -22,7 +22,7 @@ from thermorender.defaults import BAND_UM, CAMERA, TRAINED_MAPS
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.learned import correlation
 from thermorender.learned.fingerprints import Fingerprints
-from thermorender.physics.band import RadianceTable
+from thermorender.physics.band import radiance_in_band, radiance_of
 from thermorender.physics.planck import band_radiance, kelvin_per_radiance
 from thermorender.schema import did_you_mean
 from thermorender.units import ZERO_CELSIUS_K
@@ -132,20 +132,32 @@ class TemperatureMap:
         """Names of the required fields of Inputs besides rgb."""
         return self.predictor.needs
 
-    def radiance(self, inputs: Inputs) -> np.ndarray:
+    def radiance(self, inputs: Inputs, band_um: tuple[float, float] | None = None) -> np.ndarray:
         """Return apparent band radiance, (h, w) float64 [W m⁻² sr⁻¹]; negative where no temperature exists.
 
         Parameters
         ----------
         inputs : Inputs
             An image at another ground sampling distance is resampled to the map's, and the result back.
+        band_um : (2,) floats, optional
+            Band of the radiance, such as a camera's [µm], by default the map's. The apparent temperature is kept.
 
         Raises
         ------
         ThermorenderError
             A required input is missing, or the image is too fine.
         """
-        return self._radiance_of(self._predicted(inputs)[0], inputs)
+        found = self._radiance_of(self._predicted(inputs)[0], inputs)
+        return found if band_um is None else radiance_in_band(found, self.band_um, band_um)
+
+    def band_note(self, band_um: tuple[float, float]) -> str | None:
+        """Return a note where a camera's band [µm] is not the map's, else None."""
+        if tuple(self.band_um) == tuple(band_um):
+            return None
+        return (
+            f"learned map {self.name!r} gives apparent temperatures of {self.band_um[0]:g}–{self.band_um[1]:g} µm, "
+            "another band"
+        )
 
     def translated(self, inputs: Inputs) -> tuple[np.ndarray, np.ndarray | None]:
         """Return (apparent band radiance, standard deviation of its error), (h, w) float64 [W m⁻² sr⁻¹] and [K].
@@ -186,16 +198,9 @@ class TemperatureMap:
     def _radiance_of(self, found: Any, inputs: Inputs) -> np.ndarray:
         """Band radiance of the predictor's output."""
         if self.predictor.above_air:
-            return self._radiance_at(np.maximum(found + inputs.conditions["air_k"], 1.0))
+            return radiance_of(np.maximum(found + inputs.conditions["air_k"], 1.0), *self.band_um)
         cold, warm = band_radiance(np.array(self.range_k), *self.band_um)
         return cold + found * (warm - cold)
-
-    def _radiance_at(self, temperature: np.ndarray) -> np.ndarray:
-        """Band radiance of temperatures [K], by a table if it has fewer entries than the picture has pixels."""
-        if not np.ptp(temperature) / RadianceTable.SPACING_K < temperature.size:
-            return band_radiance(temperature, *self.band_um)
-        grid = RadianceTable.grid(temperature.min(), temperature.max())
-        return RadianceTable(grid, band_radiance(grid, *self.band_um))(temperature)
 
     def digest(self) -> str:
         """Return a checksum (hex) of everything that its temperatures depend on."""

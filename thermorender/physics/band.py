@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from thermorender.physics.planck import band_radiance, spectral_radiance
+from thermorender.physics.planck import band_radiance, brightness_temperature, spectral_radiance
 
 Floats = NDArray[np.float64]
 # Emissivity (n,) at wavelengths (n,) [µm].
@@ -200,3 +200,32 @@ def kelvin_table(lower_um: float, upper_um: float) -> KelvinTable:
     edge = (step << _FRACTION_BITS).view(np.float32).astype(np.float64)
     temperature = 1.0 / np.interp(np.log(edge), log, 1.0 / knot)
     return KelvinTable(int(step[0]), temperature[:-1], np.diff(temperature) / (1 << _FRACTION_BITS))
+
+
+def radiance_of(temperature: NDArray[np.floating], lower_um: float, upper_um: float) -> Floats:
+    """Return the band radiance of a picture of blackbodies [W m⁻² sr⁻¹], in the shape of `temperature` [K].
+
+    It is by a table where this has fewer entries than the picture has pixels.
+    """
+    if not np.ptp(temperature) / RadianceTable.SPACING_K < temperature.size:
+        return band_radiance(temperature, lower_um, upper_um)
+    grid = RadianceTable.grid(temperature.min(), temperature.max())
+    return RadianceTable(grid, band_radiance(grid, lower_um, upper_um))(temperature)
+
+
+def radiance_in_band(
+    radiance: NDArray[np.floating], from_um: tuple[float, float], to_um: tuple[float, float]
+) -> NDArray[np.floating]:
+    """Return the radiance of the same apparent temperatures in another band, (…) [W m⁻² sr⁻¹]; as given in its own.
+
+    Negative values, which have no temperature, stay negative.
+    """
+    if tuple(from_um) == tuple(to_um):
+        return radiance
+    size = np.abs(np.asarray(radiance, np.float64))
+    with np.errstate(over="ignore", under="ignore"):
+        found, known = kelvin_table(*from_um).kelvin(size.astype(np.float32).ravel())
+    kelvin = found.astype(np.float64)
+    kelvin[~known] = brightness_temperature(size.ravel()[~known], *from_um)
+    # Below 1 K there is no radiance in float64, and no table.
+    return np.copysign(radiance_of(np.maximum(kelvin, 1.0), *to_um), np.ravel(radiance)).reshape(size.shape)

@@ -543,7 +543,7 @@ def _solved(
     """(A scene with its temperatures solved, those of `like` where only the camera differs; what edits begin from)."""
     if like is not None and scene.changes(like._asked) <= {"camera"} and (like._heat is not None or not edits):
         known = like.scene.with_camera(scene.camera)
-        # A conditional map's temperatures depend on the sky in the camera's band and may differ.
+        # A conditional map's temperatures are solved again, as the scene's air is made for the camera's band.
         if known.temperature_state.solved:
             return known, like._heat
     assert scene.time is not None

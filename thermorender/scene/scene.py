@@ -232,6 +232,31 @@ class Scene:
         assert self.spec.sky_temperature is not None
         return float(self.spec.sky_temperature)
 
+    def sky_temperature_in(self, band_um: tuple[float, float]) -> float:
+        """Return `sky_temperature` as it is in another band than the camera's, such as a learned map's [µm]; a declared
+        sky is black.
+
+        Raises
+        ------
+        ThermorenderError
+            The scene's air does not cover the band.
+        """
+        if self.air is None or tuple(band_um) == tuple(self.camera.band_um):
+            return self.sky_temperature
+        now, values = self._declared, self._values
+        try:
+            air = stages.air(
+                now.given_air, now.spec.atmosphere, values["air_of_weather"], (band_um[0], band_um[1]),
+                lambda: values["weather_now"], self.where,
+            )  # fmt: skip
+        except ThermorenderError:
+            raise ThermorenderError(
+                f"{self.where}: a learned map of {band_um[0]:g}–{band_um[1]:g} µm needs the sky of this band, which "
+                "the scene's air does not cover; give air that covers it, or take a map of the camera's band"
+            ) from None
+        assert air is not None
+        return float(air.sky_temperature(self.altitude_m))
+
     @property
     def world(self) -> "World | None":
         """The tiled ground of which the terrain is an overview; None for others."""

@@ -202,10 +202,10 @@ def from_map(
 
     `sky_temperature` and `stand_in` [K] are as of `learned.apply.kinetic_from_map`.
     """
-    from thermorender.learned.apply import kinetic_from_map
+    from thermorender.learned.apply import InBand, kinetic_from_map
 
     values, trusted, outside = kinetic_from_map(
-        model, inputs, texels.material, texels.materials, sky_temperature, stand_in
+        model, inputs, texels.material, InBand(model, texels.materials, texels.where), sky_temperature, stand_in
     )
     # A mesh has several surfaces: their mean.
     count, before = trusted.size, texels.report.get(model.name, {"texels": 0})

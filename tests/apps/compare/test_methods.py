@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from compare_support import errors, flight, frames_of, structured, uniform_map
+from compare_support import BAND, black, errors, flight, frames_of, structured, uniform_map
 
 import thermorender as tr
 from scenes import WEATHER, scene_object, write_terrain
@@ -13,7 +13,7 @@ from thermorender.apps.compare import methods, predictors
 from thermorender.apps.compare.comparison import Options, compare
 from thermorender.errors import ThermorenderError
 from thermorender.learned.correlation import Correlation
-from thermorender.learned.temperature_map import Inputs
+from thermorender.learned.temperature_map import Inputs, TemperatureMap, save_map
 
 
 @pytest.mark.slow
@@ -159,3 +159,41 @@ def test_without_letters_the_command_compares_all_methods(ground, tmp_path, call
     )
     call("compare", ground, "-o", tmp_path / "c", "--trajectory", log)
     assert asked == [methods.LETTERS]
+
+
+@pytest.mark.slow
+def test_a_camera_of_another_band_leaves_a_maps_temperatures(tmp_path):
+    """B, calibrated B and the terms under a mid-wave camera, with a map of the long wave."""
+    heights = np.random.default_rng(1).uniform(0.0, 0.3, (2, 32, 32))
+    lands = [black(write_terrain(tmp_path / f"land{k}", heights[k], structured(5 + k), extra=WEATHER)) for k in (0, 1)]
+    text = (lands[1] / "scene.toml").read_text()
+    air = '[atmosphere]\nstandard = "midlatitude-summer"\n'
+    (lands[1] / "scene.toml").write_text(text[: text.index("[sky]")] + air + text[text.index("[truth]") :])
+    # Its intensities follow the colours, which have nothing to do with the temperatures.
+    grey = TemperatureMap("grey", "correlation-1to1", Correlation(np.full((1, 1, 3), 0.2), 0.2), (280.0, 300.0), BAND,
+                          0.5, (0.01, 5.0), "zenmuse-xt2", 255.0, "a test")  # fmt: skip
+    save_map(grey, tmp_path / "grey.npz")
+    found = {}
+    for name, band_um in (("long", BAND), ("mid", (3.7, 4.8))):
+        flights = [flight(each) for each in lands]
+        flights = [
+            replace(one, scene=one.scene.with_camera(replace(one.scene.camera, name=name, band_um=band_um)))
+            for one in flights
+        ]
+        options = Options(letters=("B", "C1"), settings={"rays": 8})
+        found[name] = compare(flights, tmp_path / name, [str(tmp_path / "grey.npz")], options)
+    long, mid = found["long"], found["mid"]
+    # Refitted bounds are of counts, whose quartiles reach farther in the mid-wave.
+    for label in ("B grey", "C1 grey", "B grey, calibrated", "C1 grey, calibrated"):
+        one, other = (errors(each, label) for each in (long, mid))
+        # Pixels mix radiance, the mid-wave weighs warm parts more, and B has no air.
+        assert other["me_k"] == pytest.approx(one["me_k"], abs=0.5), label
+        assert other["mae_k"] == pytest.approx(one["mae_k"], abs=0.5), label
+    for one, other in zip(long["scenes"], mid["scenes"], strict=True):
+        assert other["terms_apart_mk"] <= 1.0
+        for term in ("geometry", "emission", "reflection"):
+            own, known = (each["terms"]["grey"]["terms"][term]["me_k"] for each in (other, one))
+            assert own == pytest.approx(known, abs=0.05), term
+    notes = [[note for note in each["notes"] if "another band" in note] for each in (long, mid)]
+    assert not notes[0] and len(notes[1]) == 2
+    assert notes[1][0].startswith("Learned map 'grey' gives apparent temperatures of 7.5–13.5 µm, another band than")

@@ -19,6 +19,7 @@ from thermorender.apps.link import Code, LinkError
 from thermorender.apps.link.messages import Open, Request
 from thermorender.apps.link.session import ServerSession
 from thermorender.apps.link.stage import Stage
+from thermorender.apps.link.wire import Product
 from thermorender.errors import ThermorenderError
 from thermorender.frame.exr import read_exr
 from thermorender.learned.temperature_map import Inputs, load_model
@@ -188,6 +189,25 @@ def test_translations_are_those_of_the_map(client, renderer):
     np.testing.assert_allclose(reply.radiance, model.radiance(Inputs(own, 0.3)), rtol=1e-5)
     with pytest.raises(LinkError, match=r"9 × 7 pixels; resize it to those of the session's camera, 80 × 64"):
         session.frame(2.0, pose, picture=own[:7, :9])
+
+
+def test_translations_keep_the_maps_temperature_under_a_camera_of_another_band(renderer):
+    """The replies, and the note of the server."""
+    own = renderer.scene.camera
+    mid = replace(own, name="mid", band_um=(3.7, 4.8))
+    stage = Stage(renderer, {"mid": mid}, ("fok-1to1",))
+    (note,) = stage.notes
+    assert note.startswith("learned map 'fok-1to1'") and note.endswith("another band than that of camera mid")
+    picture = np.random.default_rng(1).integers(0, 256, (own.height, own.width, 3), np.uint8)
+    kelvin = []
+    for name in (own.name, "mid"):
+        session = stage.open(Open(method="B", map="fok-1to1", camera=name))
+        poses = np.array([[0.0, 0.0, 0.0, 14.0, *DOWN]])
+        session.answer([Request(0.0, int(Product.TEMPERATURE), False, poses, (), picture, 0.3)], time.perf_counter())
+        kelvin.append(session.last.apparent_temperature)
+    known = np.isfinite(kelvin[0])
+    assert known.mean() > 0.9
+    np.testing.assert_allclose(kelvin[1][known], kelvin[0][known], atol=1e-3)
 
 
 def test_map_on_the_orthophoto_is_that_of_compare(client, renderer):

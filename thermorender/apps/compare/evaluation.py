@@ -454,9 +454,7 @@ def _notes(scale: ThermalScale, maps: Sequence[LearnedMap], entries: Sequence[En
         model = _model(each)
         found = [model.texel_warning(size) for size in (min(sizes), max(sizes))] if sizes else []
         notes += dict.fromkeys(filter(None, found))
-        if tuple(model.band_um) != tuple(scale.band_um):
-            band = "–".join(f"{limit:g}" for limit in model.band_um)
-            notes.append(f"learned map {model.name!r} gives apparent temperatures of {band} µm, another band")
+        notes += filter(None, [model.band_note(scale.band_um)])
     return notes
 
 

@@ -9,8 +9,8 @@ true material as input. Foreign frames go under their program's name. `knows` li
 B to P get object temperatures from the map, by colour, or from the material's table. A map of intensities is used with
 its own bounds, with bounds refitted to the campaign, and calibrated to it; the last two under the campaign's sky.
 
-A new method is a function of a `Given`, which yields its Methods or a sentence on why it is left out, and a line in
-`OF_MAPS` or `OF_SCENES`.
+A new method is a function of a `Given`, which yields its Methods, and sentences on it or on why it is left out, and a
+line in `OF_MAPS` or `OF_SCENES`.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -29,7 +29,7 @@ from thermorender.apps.compare.view import Image, View
 from thermorender.defaults import EMISSIVITY_MAP, FALLBACK_MATERIAL
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
-from thermorender.learned.apply import kinetic_from_map
+from thermorender.learned.apply import InBand, kinetic_from_map
 from thermorender.learned.even import EVEN_PX
 from thermorender.learned.temperature_map import Inputs, TemperatureMap
 from thermorender.physics.planck import band_radiance, brightness_temperature
@@ -112,7 +112,7 @@ class Method:
             return self.renderer.radiance(view.pose, view.time_s, self.objects)
         if self.function is None:
             assert self.model is not None
-            return self.model.radiance(Inputs(view.visible, view.texel_m))
+            return self.model.radiance(Inputs(view.visible, view.texel_m), view.band_um)
         kelvin = self.function(view)
         assert kelvin is not None
         # Pictures of few levels are common, and the integral over the band is slow.
@@ -142,7 +142,7 @@ class Given:
 def methods_of(
     letters: Collection[str], maps: Sequence[tuple[str, TemperatureMap]], given: Given
 ) -> tuple[list[Method], list[str]]:
-    """Return (the Methods of a scene for letters and for (name or file, map), sentences on methods left out)."""
+    """Return (the Methods of a scene for letters and for (name or file, map), sentences on them and others)."""
     check_letters(letters)
     made: list[Method | str] = []
     for text, model in maps:
@@ -186,7 +186,10 @@ def _photographs(given: Given, text: str, model: TemperatureMap) -> Iterator[Met
         yield (f"B {model.name} is left out: the map also takes {' and '.join(model.needs)} as input, which a "
                "photograph does not give.")  # fmt: skip
     else:
-        yield from translated(model, given.campaign, given.scene.sky_temperature)
+        yield from translated(model, given.campaign, _sky_of(given.scene, model, given.campaign))
+        note = model.band_note(given.scene.camera.band_um)
+        if note:
+            yield f"L{note[1:]} than the camera's of {given.scene.name}: B takes them as those of the camera's band."
 
 
 def _true_materials(given: Given, text: str, model: TemperatureMap) -> Iterator[Method | str]:
@@ -220,6 +223,11 @@ def _variants(model: TemperatureMap, campaign: Training | None, sky_k: float | N
             line = Calibrated(model.predictor, first, float(at.intensity(zero + slope)) - first)
             found.append((CALIBRATED, replace(at, predictor=line), campaign.bounds_c))
     return found
+
+
+def _sky_of(scene: Scene, model: TemperatureMap, campaign: Training | None) -> float | None:
+    """Return a scene's sky in a map's band [K], None where no campaign asks for it."""
+    return None if campaign is None else scene.sky_temperature_in(model.band_um)
 
 
 def _knows(bounds: str | None, *more: str) -> str:
@@ -259,7 +267,7 @@ def rendered(
         return Method(letter, model.name, bounds, _knows(bounds, *knows, *needs), objects, at, build, kelvin)
 
     found = []
-    variants = _variants(model, campaign, scene.sky_temperature)
+    variants = _variants(model, campaign, _sky_of(scene, model, campaign))
     for variant in variants if true_materials else variants[-1:]:
         kelvin = object_temperatures(scene, variant[1], reference)
         if true_materials:
@@ -408,9 +416,11 @@ def object_temperatures(scene: Scene, model: TemperatureMap, reference: Renderer
     if model.needs:
         time = scene.time
         assert time is not None and scene.spec.weather is not None  # else a map with these needs is refused
-        weather, sky = conditions(scene.weather, time, scene.spec.weather.inside_c), scene.sky_temperature
+        weather = conditions(scene.weather, time, scene.spec.weather.inside_c)
+        sky = scene.sky_temperature_in(model.band_um)
         if "terrain" in model.needs:
             planes = reliefs(scene, [time], reference.baked.geometry)[time]
+    in_band = InBand(model, scene.materials, scene.where)
     for item in scene.spec.objects:
         surface = surfaces[item.name]
         patch = np.empty((EVEN_PX, EVEN_PX, 3), np.uint8)
@@ -420,7 +430,7 @@ def object_temperatures(scene: Scene, model: TemperatureMap, reference: Renderer
         material = np.full(patch.shape[:2], surface.material.flat[0])
         inputs = Inputs(patch, scene.main_surface.texel_m, terrain, weather)
         stand_in = weather["air_k"] if weather else None
-        kelvin, *_ = kinetic_from_map(model, inputs, material, scene.materials, sky, stand_in)
+        kelvin, *_ = kinetic_from_map(model, inputs, material, in_band, sky, stand_in)
         found[item.name] = float(kelvin[EVEN_PX // 2, EVEN_PX // 2])
     return found
 

@@ -11,7 +11,9 @@ A sequence of pictures leads from one to the other. Each changes one thing:
 5. the same through the air to the camera: **air**; this is C;
 6. after the sensor: the change of C by its blur, noise and scale minus the change of B: **sensor**.
 
-The order is a choice: where two causes interact, their common part counts for the earlier one.
+The order is a choice: where two causes interact, their common part counts for the earlier one. All pictures are of the
+camera's band. Under a map of another band, steps 1 to 3 keep its apparent temperatures, and the change of band counts
+for reflection.
 """
 
 import numpy as np
@@ -19,9 +21,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from thermorender.apps.compare.methods import Method
 from thermorender.frame import apparent_temperature
+from thermorender.learned.apply import InBand
 from thermorender.learned.temperature_map import Inputs
-from thermorender.materials.material import Material
-from thermorender.physics.band import RadianceTable, emitted_radiance
+from thermorender.physics.band import RadianceTable, emitted_radiance, radiance_in_band
 from thermorender.physics.planck import band_radiance
 
 NAMES = ("geometry", "emission", "reflection", "air", "sensor")
@@ -34,11 +36,11 @@ class Terms:
         assert method.model is not None
         self._method, self._renderer = method, method.renderer
         scene, model = self._renderer.scene, method.model
-        self._band_um, sky = model.band_um, model.sky_temperature
-        terrain = scene.surfaces[: scene.terrain_count]
+        self._band_um, sky = scene.camera.band_um, model.sky_temperature
+        terrain, materials = scene.surfaces[: scene.terrain_count], InBand(model, scene.materials, scene.where)
         seen, given = [], []
         for surface in scene.surfaces:
-            kept = _under_sky(surface.temperature, surface.material, scene.materials, sky, model.band_um)
+            kept = _under_sky(surface.temperature, surface.material, materials, sky, model.band_um)
             own = kept
             if surface in terrain:
                 apparent = model.radiance(Inputs(surface.colour, surface.texel_m))
@@ -49,10 +51,13 @@ class Terms:
             kelvin = method.kelvin.get(item.name, item.item.kelvin)
             for surface in item.surfaces:
                 warm = np.full(surface.material.shape, kelvin)
-                kept = _under_sky(warm, surface.material, scene.materials, sky, model.band_um).ravel()
+                kept = _under_sky(warm, surface.material, materials, sky, model.band_um).ravel()
                 seen.append(kept)
                 given.append(kept)
-        self._seen, self._given = (np.concatenate(parts).astype(np.float32) for parts in (seen, given))
+        self._seen, self._given = (
+            radiance_in_band(np.concatenate(parts), model.band_um, self._band_um).astype(np.float32)
+            for parts in (seen, given)
+        )
 
     def pictures(self, pose: ArrayLike, time_s: float) -> NDArray[np.float32]:
         """Return steps 2, 3 and, with air, 4 between B and C of a pose, (2 or 3, H, W) float32 [K] apparent."""
@@ -85,7 +90,7 @@ def terms_of(
 def _under_sky(
     temperature: NDArray[np.floating],
     material: NDArray[np.integer],
-    materials: tuple[Material, ...],
+    materials: "InBand",
     sky_k: float,
     band_um: tuple[float, float],
 ) -> NDArray[np.float64]:

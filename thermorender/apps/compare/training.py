@@ -20,6 +20,7 @@ from thermorender.apps.training.dataset import Dataset
 from thermorender.apps.training.map_inputs import NO_MATERIAL, ground_of
 from thermorender.frame import apparent_temperature
 from thermorender.learned.temperature_map import Inputs, TemperatureMap
+from thermorender.physics.band import radiance_in_band
 from thermorender.scene.scene import Scene
 from thermorender.schema import every_field
 from thermorender.sensor.camera import Camera
@@ -124,7 +125,8 @@ def thermal_of(
         for model in models:
             predicted = model.predictor.predict(Inputs(view.visible, view.texel_m), model.texel_m)[ground]
             here = np.isfinite(predicted)
-            s, read = predicted[here].astype(np.float64), value[here]
+            # The line is that of the map's intensities, which are linear in radiance of its own band.
+            s, read = predicted[here].astype(np.float64), radiance_in_band(value[here], camera.band_um, model.band_um)
             into(pairs, model.name, np.array([here.sum(), s.sum(), read.sum(), s @ s, s @ read]))
     return Thermal(land, campaign_of(scene, land), histogram, materials, pairs)
 

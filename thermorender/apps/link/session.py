@@ -160,7 +160,7 @@ class TranslatedFrames(LiveFrames[Renderer]):
             depth = renderer.depth(pose)
             near = depth[covered & np.isfinite(depth)]
             texel_m = float(np.median(near)) / renderer.scene.camera.focal_length_px if near.size else None
-        radiance = self.model.radiance(Inputs(picture, texel_m)).astype(np.float32)
+        radiance = self.model.radiance(Inputs(picture, texel_m), renderer.scene.camera.band_um).astype(np.float32)
         plan = {"method": "B", "map": self.model.name}
         return renderer.frame_of(radiance, pose, plan, time_s, index, objects)
 

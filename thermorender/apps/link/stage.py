@@ -40,6 +40,16 @@ class Stage:
             name_bytes(name)
         self._made: dict[tuple[str, str], Renderer] = {(own.name, ""): self.renderer}
 
+    @property
+    def notes(self) -> list[str]:
+        """Sentences on maps of another band than a camera's."""
+        return [
+            f"{note} than that of camera {camera.name}"
+            for _, model in self._models.values()
+            for camera in self.cameras.values()
+            if (note := model.band_note(camera.band_um))
+        ]
+
     def describe(self) -> dict[str, Any]:
         """Return what a client may want to know, as plain values."""
         scene = self.renderer.scene

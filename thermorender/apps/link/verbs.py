@@ -82,6 +82,8 @@ def serve(
         renderer.prepare()
     print_cache_note(renderer)
     stage = Stage(renderer, cameras, tuple(map or ()))
+    for note in stage.notes:
+        typer.echo(f"note: {note}", err=True)
     server = Server(stage, host, port)
     kept = token_file or default_file(server.address, server.port)
     end_on_signals(signal.default_int_handler)

@@ -170,8 +170,9 @@ def mapped(
             time: [{**one, "material": numbers} for one, numbers in zip(planes, own, strict=True)]
             for time, planes in planes_of.items()
         }
+    # The map's apparent temperatures are of its own band, which may not be the camera's.
+    sky = scene.sky_temperature_in(model.band_um)
     for time, planes in planes_of.items():
-        sky = scene.sky_temperature
         report: dict[str, Any] = {}
         given = conditions(scene.weather, time, scene.spec.weather.inside_c)
         kelvin, known = [], []
