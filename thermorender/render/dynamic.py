@@ -20,7 +20,7 @@ from thermorender.render.arrays import Floats, Jit, Mitsuba, aligned, opaque_vec
 from thermorender.render.geometry import Geometry
 from thermorender.render.layers import OutgoingRadiance
 from thermorender.render.light import contacts, radiosity
-from thermorender.render.light.environment import SUN_POINTS, Environment, Sun
+from thermorender.render.light.environment import SUN_POINTS, Environment, Sunlight
 from thermorender.render.light.gmres import gmres
 from thermorender.render.plan import Plan
 from thermorender.render.reflection.device_tables import DeviceTables, DirectionalTexels, black_of
@@ -95,7 +95,7 @@ class StaticLight:
     reflectance: NDArray[np.float32]  # (F, N) of each face at each node
     # (F + SKY_BINS + 1, N) radiance that leaves faces, and that of the sky's bins and of the surroundings [W m⁻² sr⁻¹].
     seen: NDArray[np.float32]
-    sun: Sun | None  # where included
+    sun: Sunlight | None  # where included
 
     @classmethod
     def around(cls, environment: Environment, faces: int, nodes: int) -> "StaticLight":
@@ -236,8 +236,8 @@ class DynamicObject:
         lit = dr.maximum(cosine, 0.0) * geometry.sunlight(mi.Point3f(matrix @ origin + origin_m), towards, facing)
         return np.array(lit, np.float64).reshape(count, -1).mean(axis=1)
 
-    def _shaded(self, pose: Floats, geometry: Geometry, sun: Sun) -> tuple[NDArray[np.int64], Floats]:
-        """(Static faces that the object shades, part of `Sun.lit` that it takes from each)."""
+    def _shaded(self, pose: Floats, geometry: Geometry, sun: Sunlight) -> tuple[NDArray[np.int64], Floats]:
+        """(Static faces that the object shades, part of `Sunlight.lit` that it takes from each)."""
         mi, nothing = self.geometry.mi, (np.zeros(0, np.int64), np.zeros(0))
         if self._ground is None or self._ground[0] is not geometry:
             corners = np.concatenate([each.vertices[each.faces] for each in geometry.surfaces])

@@ -25,7 +25,7 @@ _ALL = slice(None)
 
 
 @dataclass(frozen=True)
-class Sun:
+class Sunlight:
     """The sun's light on the scene."""
 
     towards: Floats  # (3,) to the sun
@@ -41,7 +41,7 @@ class Environment:
     level: Floats  # (F, A) interpolation weight of each level at a face's altitude
     background: Floats  # (N,) surroundings below the horizon
     direct: Floats | None = None  # (F, N) the sun's irradiance on each face over π, where included
-    sun: "Sun | None" = None
+    sun: "Sunlight | None" = None
 
     def light(self, up: Floats, down: Floats, part: slice | NDArray[np.integer] = _ALL) -> Floats:
         """Return the radiance without sunlight on a part of the faces, (n, N), from fractions of sky (n, B) and
@@ -91,7 +91,7 @@ def of_scene(scene: Scene, plan: Plan, geometry: Geometry, touching: NDArray[np.
     assert scene.sun is not None
     towards = sun.direction(scene.sun.elevation_deg, scene.sun.azimuth_deg)
     facing = spectrum.gathered(spectrum.points.sunlight(low, towards[2])) / np.pi
-    light = Sun(towards, facing, sunlit(geometry, towards, touching))
+    light = Sunlight(towards, facing, sunlit(geometry, towards, touching))
     return Environment(sky, level, background, light.lit[:, None] * facing, light)
 
 
