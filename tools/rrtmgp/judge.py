@@ -20,7 +20,10 @@ from tools.rrtmgp.merging import CONTRAST_K, Lit
 _STEP = 0.02
 Floats = NDArray[np.float64]
 # Bands of cameras [µm].
-CAMERAS = ((7.5, 13.5), (8.0, 14.0), (8.0, 12.0), (10.0, 12.0), (8.0, 9.5), (3.7, 4.8), (3.1, 4.8))
+CAMERAS = (
+    (7.5, 13.5), (8.0, 14.0), (8.0, 12.0), (10.0, 12.0), (8.0, 9.5), (3.7, 4.8), (3.1, 4.8), (3.5, 4.1), (3.8, 4.2),
+    (4.5, 4.8),
+)  # fmt: skip
 # (warmer [K], moister) of the columns.
 _HELD = ((4, 0.7), (14, 1.2), (-14, 0.8), (0, 2.0))
 PATHS = (
