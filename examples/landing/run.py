@@ -45,6 +45,7 @@ class _Pose:
     time_s: float
     visible: Any
     texel_m: float
+    band_um: tuple[float, float]
 
 
 def fly(folder, models, runs, progress=None, sizes=None, **settings):
@@ -197,7 +198,7 @@ def _landing(run, kind, made, scene):
             radiance = reference.radiance(pose, 0.0, hot)
         else:
             visible = photograph(reference, pose, 0.0)[0] if method.letter == "B" else None
-            radiance = method.radiance(_Pose(pose, 0.0, visible, height / camera.focal_length_px))
+            radiance = method.radiance(_Pose(pose, 0.0, visible, height / camera.focal_length_px, camera.band_um))
         frame_s.append(time.perf_counter() - frame_began)
         moment = in_sequence(camera, step, when)
         counts = sensor.counts(sensor.power(radiance, moment), moment)
