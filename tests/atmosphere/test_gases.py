@@ -99,6 +99,38 @@ def test_lowtran_differs_as_stated():
     assert np.abs(off).max() == pytest.approx(1543.0, abs=5.0)
 
 
+# Transmittance of MODTRAN 4's gases and of its haze over 5 km, weighed by a blackbody of 300 K (pyradi's tape
+# `horizon5kmtropical`), and of our gases, by band [µm].
+MODTRAN = {
+    (3.08, 3.73): (0.450, 0.910, 0.417), (3.73, 4.17): (0.707, 0.920, 0.660), (4.17, 4.45): (0.013, 0.923, 0.007),
+    (4.45, 4.8): (0.192, 0.926, 0.175), (3.7, 4.8): (0.271, 0.924, 0.248),
+}  # fmt: skip
+
+
+def test_modtran_differs_in_the_mid_wave_as_stated():
+    """Tropical air at the ground with a rural haze of 23 km, 330 ppm of CO₂ and no CFCs."""
+    others = ("cfc11", "cfc12", "cfc22", "ccl4", "cf4", "hfc134a", "hfc23", "hfc32", "hfc125", "hfc143a")
+    gases = {f"{gas}_ppt": 0.0 for gas in others} | {"co2_ppm": 330.0}
+    clear, hazy = (Atmosphere.standard("tropical", each, year=2000, gases=gases) for each in ("none", "rural-23km"))
+    for band, (theirs, haze, ours) in MODTRAN.items():
+        seen = []
+        for air in (clear, hazy):
+            own = air.in_band(*band)
+            black = own.planck(300.0)
+            seen.append(float(own.transmittance(0.0, 0.0, 5000.0) @ black / black.sum()))
+        assert seen[0] == pytest.approx(ours, abs=1e-3) and abs(seen[0] - theirs) < 0.05, band
+        # Both have the haze of Shettle and Fenn (1979).
+        assert seen[1] / seen[0] == pytest.approx(haze, rel=6e-3), band
+
+
+def test_carbon_monoxide_and_nitrogen_are_those_of_the_atmospheres():
+    """Anderson and others (1986), US standard: 0.150 ppm at the ground, 0.130 at 5 km, 0.0996 at 10 km."""
+    column = standard_column("us-1976")
+    found = np.interp([0.0, 5e3, 1e4], column.altitude_m, 1e6 * column.mixing["co"])
+    assert found == pytest.approx([0.150, 0.1303, 0.0996], rel=0.01)
+    assert (column.mixing["n2"] == 0.78084).all()
+
+
 def test_packed_numbers_come_back():
     random = np.random.default_rng(3)
     values = random.lognormal(-50.0, 8.0, (5, 7, 3, 4)) * (random.random((5, 7, 3, 4)) > 0.2)

@@ -12,6 +12,8 @@ from thermorender.physics import sun
 from thermorender.physics.fresnel import smooth_emissivity
 from thermorender.physics.planck import spectral_radiance
 from thermorender.render.plan import make_plan
+from thermorender.render.reflection.device_tables import _masking
+from thermorender.render.variant import activate
 from thermorender.sensor.camera import load_camera
 
 AIR = '[atmosphere]\nstandard = "midlatitude-summer"\n'
@@ -173,3 +175,15 @@ def test_haze_and_a_low_sun_leave_channels_that_show_it(tmp_path, camera):
     image = more(tr.pose(0, 0, 20.0, yaw_deg=0.0, pitch_deg=-12.0))
     sine = np.sin(np.radians(12.0))
     assert image.max() == pytest.approx(image_of_the_sun(scene, 12.0, 20.0, sine, sine), rel=0.04)
+
+
+def test_masking_leaves_facets_as_large_as_the_surface_looks():
+    """Smith's masking from the areas of facets that face a direction: their sum over 1 + Λ is the surface's, cos θ."""
+    mi = activate()
+    slope, limit = 0.2, np.linspace(-1.5, 1.5, 600_001)
+    density = np.exp(-((limit / slope) ** 2)) / (np.sqrt(np.pi) * slope)
+    angles = np.radians([30.0, 70.0, 80.0, 85.0, 88.0])
+    wanted = [np.trapezoid(np.maximum(np.cos(a) - limit * np.sin(a), 0.0) * density, limit) / np.cos(a) - 1.0
+              for a in angles]  # fmt: skip
+    found = np.array(_masking(mi.Float(np.cos(angles).astype(np.float32)), mi.Float(slope**2)))
+    assert wanted[-1] > 0.9 and found == pytest.approx(wanted, rel=2e-3, abs=1e-5)

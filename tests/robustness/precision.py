@@ -306,7 +306,7 @@ def mirrors():
     light = [[np.interp(each, grid, column) for column in table.T] for each in kelvin]
     found = []
     for types in kinds:
-        tables = DeviceTables(types, plan.specular, scene, plan)
+        tables = DeviceTables(types, scene, plan)
         black, seen = ([of(types, each) for each in side] for side in light)
         valid = types.Bool(np.arange(count) % 2 == 0)
         added = tables.reflected(types.UInt32(row), of(types, cosine), black, seen, valid, of(types, up))

@@ -29,3 +29,11 @@ def check_altitudes(name: str, values: NDArray[np.float64], lowest: float, highe
         raise ThermorenderError(
             f"{name}={values[bad].flat[0]:g} is out of range; give metres above sea level, −{-lowest:g} … {highest:g}"
         )
+
+
+def not_covered(covered_um: str, band_um: tuple[float, float]) -> ThermorenderError:
+    """Return the error of air that covers other wavelengths than a camera's band [µm]."""
+    return ThermorenderError(
+        f"the atmosphere covers {covered_um} µm, which does not include the camera's band {band_um[0]:g}–"
+        f"{band_um[1]:g} µm; give another atmosphere or a narrower band"
+    )

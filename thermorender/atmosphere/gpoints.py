@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.atmosphere.air_column import WATER
+from thermorender.atmosphere.checks import not_covered
 from thermorender.atmosphere.packed import unpacked
-from thermorender.errors import ThermorenderError
 
 Floats = NDArray[np.float64]
 # Bins of `GPoints.spectrum` [cm⁻¹]; the limits of bands are multiples of them.
@@ -104,10 +104,7 @@ class GPoints:
             if found.covers(band_um):
                 return found
             spans.append(found.span_text)
-        raise ThermorenderError(
-            f"the atmosphere covers {' and '.join(spans)} µm, which does not include the camera's band "
-            f"{band_um[0]:g}–{band_um[1]:g} µm; give another atmosphere or a narrower band"
-        )
+        raise not_covered(" and ".join(spans), band_um)
 
     @property
     def span_um(self) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from thermorender.atmosphere import rays
 from thermorender.atmosphere.air_column import AEROSOL_CM1, YEAR, AirColumn, exponential
-from thermorender.atmosphere.checks import check_altitudes, check_within
+from thermorender.atmosphere.checks import check_altitudes, check_within, not_covered
 from thermorender.atmosphere.emission import ALTITUDE_M, Profile, amounts, emission
 from thermorender.atmosphere.gpoints import GPoints
 from thermorender.atmosphere.nodes import REFERENCE_K, nodes_of, share_change
@@ -270,10 +270,7 @@ class Atmosphere:
             return found.clouded(self.cloud_fraction, self.cloud_base_m)
         first, last = self.lower_um.min(), self.upper_um.max()
         if not first - 1e-9 <= lower_um < upper_um <= last + 1e-9:
-            raise ThermorenderError(
-                f"the atmosphere covers {first:g}–{last:g} µm, which does not include the camera's band "
-                f"{lower_um:g}–{upper_um:g} µm; give another atmosphere or a narrower band"
-            )
+            raise not_covered(f"{first:g}–{last:g}", (lower_um, upper_um))
         kept = (self.upper_um > lower_um + 1e-9) & (self.lower_um < upper_um - 1e-9)
         absorption = self.absorption[kept]
         self._absorbing(absorption, lower_um, upper_um)

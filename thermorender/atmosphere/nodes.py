@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender.atmosphere.air_column import WATER, AirColumn
+from thermorender.atmosphere.checks import not_covered
 from thermorender.atmosphere.gpoints import BIN_CM1, GPoints
-from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import C2
 
 Floats = NDArray[np.float64]
@@ -58,7 +58,9 @@ def nodes_of(tables: GPoints, column: AirColumn, band_um: tuple[float, float] | 
     """
     low, high = tables.wavenumber[0, 0], tables.wavenumber[-1, 1]
     if band_um is not None:
-        low, high = _covered(tables, band_um)
+        if not tables.covers(band_um):
+            raise not_covered(tables.span_text, band_um)
+        low, high = 1e4 / band_um[1], 1e4 / band_um[0]
     inside = inside_of(tables, low, high, float(column.mixing[WATER][0]))
     ground = {gas: mixing[:1] for gas, mixing in column.mixing.items()}
     share = tables.shares(column.pressure_pa[:1], column.temperature[:1], ground)[:, 0]
@@ -145,17 +147,6 @@ def _groups(tables: GPoints, bands: slice) -> list[tuple[slice, float]]:
     found = [[each for each in own if bands.start <= tables.band_of[each[0].start] < bands.stop]
              for own in tables.groupings]  # fmt: skip
     return [own for own in found if own is found[0] or len(own) <= MOST_NODES][-1]
-
-
-def _covered(tables: GPoints, band_um: tuple[float, float]) -> tuple[float, float]:
-    """Limits [cm⁻¹] of a camera's band."""
-    lower, upper = band_um
-    if not tables.covers(band_um):
-        raise ThermorenderError(
-            f"the atmosphere covers {tables.span_text} µm, which does not include the "
-            f"camera's band {lower:g}–{upper:g} µm; give another atmosphere or a narrower band"
-        )
-    return 1e4 / upper, 1e4 / lower
 
 
 def inside_of(tables: GPoints, low: float, high: float, water: float) -> Floats:

@@ -17,6 +17,7 @@ from thermorender.render.baked_light import BakedLight
 from thermorender.render.dynamic import DynamicObject, ObjectState
 from thermorender.render.geometry import Geometry
 from thermorender.render.layers import KeptTexels, Layer, OutgoingRadiance, TexelArrays
+from thermorender.render.light.shadows import SunlitFaces
 from thermorender.render.object_numbers import objects_of_surfaces
 from thermorender.render.pixels.crown_light import sunlit_leaves
 from thermorender.render.plan import Plan
@@ -39,7 +40,7 @@ class DeviceScene:
     ) -> None:  # fmt: skip
         scene, plan, mi = baked.scene, baked.plan, geometry.mi
         self.geometry, self._mi = geometry, mi
-        tables = DeviceTables(mi, plan.specular, scene, plan) if plan.specular else None
+        tables = DeviceTables(mi, scene, plan) if plan.specular else None
         directional = None
         if tables and baked.mirror_black is not None:
             number = kept.mirrors if kept is not None else tables.number[flat(scene.surfaces, "material")]
@@ -68,6 +69,12 @@ class DeviceScene:
     def static_outgoing(self) -> OutgoingRadiance:
         """The OutgoingRadiance of the static scene without the light of its moving objects."""
         return self._outgoing
+
+    @cached_property
+    def _sunlit(self) -> SunlitFaces | None:
+        """The faces that moving objects may shade; None without the sun."""
+        sun = None if self._light is None else self._light.sun
+        return None if sun is None else SunlitFaces(self.geometry, sun)
 
     @cached_property
     def copies_error(self) -> float:
@@ -145,9 +152,8 @@ class DeviceScene:
         lit = [each.lit or each for each in states]
         key, last = tuple(each.key for each in lit), self._last_light
         if last[0] != key:
-            found = [
-                item.light(state, self.geometry, self._light) for item, state in zip(self.objects, lit, strict=True)
-            ]
+            static = self.geometry, self._light, self._sunlit
+            found = [item.light(state, *static) for item, state in zip(self.objects, lit, strict=True)]
             outgoing = self._outgoing
             if self._light is not None and self._faces is not None:
                 light = self._faces.copy()

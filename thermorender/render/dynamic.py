@@ -16,20 +16,19 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.materials.material import Material
-from thermorender.render.arrays import Floats, Jit, Mitsuba, aligned, opaque_vector
+from thermorender.render.arrays import Floats, Jit, Mitsuba, opaque_vector
 from thermorender.render.geometry import Geometry
 from thermorender.render.layers import OutgoingRadiance
 from thermorender.render.light import contacts, radiosity
 from thermorender.render.light.environment import SUN_POINTS, Environment, Sunlight
 from thermorender.render.light.gmres import gmres
+from thermorender.render.light.shadows import SunlitFaces
 from thermorender.render.plan import Plan
 from thermorender.render.reflection.device_tables import DeviceTables, DirectionalTexels, black_of
 from thermorender.scene.scene import Scene
 from thermorender.scene.tracks import TrackedObject
 from thermorender.units import Number
 
-# Points of a static face that are tested for the shadow of a moving object.
-SHADE_POINTS = 16
 # {name of a dynamic object: {column of its track: value}}.
 Objects = Mapping[str, Mapping[str, Number]]
 # As from `DynamicObject.light`.
@@ -124,28 +123,28 @@ class DynamicObject:
         self._rays_of = radiosity.FaceRays(self.geometry, (plan.sampling.rays + 1) // 2)
         self._rays_of.start_in_the_open(contacts.solid(self.geometry), np.arange(self.geometry.face_count))
         self._sun_rays = radiosity.FaceRays(self.geometry, SUN_POINTS // 2)
-        # The static geometry with middles, half-widths and rays of its faces, for shadows of the sun.
-        self._ground: tuple[Geometry, Floats, Floats, radiosity.FaceRays] | None = None
         # All texels have the same material.
         self._material = int(tracked.surfaces[0].material.flat[0])
         self._emissivity_at = materials[self._material].emissivity_at
         self._texel_count = sum(surface.material.size for surface in tracked.surfaces)
         self._tables = tables if tables and tables.number[self._material] else None
 
-    def light(self, state: ObjectState, geometry: Geometry, static: StaticLight | None) -> _Exchange:
+    def light(
+        self, state: ObjectState, geometry: Geometry, static: StaticLight | None, sunlit: SunlitFaces | None = None
+    ) -> _Exchange:
         """Return (own (F, K), (faces (n,), added (n, K)), (own_square (F,), square (n,))) at an ObjectState.
 
         `own` is the light that each own face reflects in each channel; `added` is the change of the light that `faces`
         of the static scene reflect [W m⁻² sr⁻¹]. The squares are their squared standard errors due to the number of
         rays, in the band [W² m⁻⁴ sr⁻²]. They assume independent rays, so for Sobol points they are rather too large.
-        `geometry` is the static scene's; `static` is None where reflection is left out.
+        `geometry` is the static scene's; `static` is None where reflection is left out, `sunlit` without the sun.
         """
         if static is None:
             channels = self._plan.spectrum.channels
             nothing = np.zeros(0, np.int64), np.zeros((0, channels), np.float32)
             count = self.geometry.face_count
             return np.zeros((count, channels)), nothing, (np.zeros(count), np.zeros(0))
-        return self._light(state.pose, state.temperature, geometry, static)
+        return self._light(state.pose, state.temperature, geometry, static, sunlit)
 
     def outgoing(self, temperature: float, own: Floats) -> OutgoingRadiance:
         """Return the OutgoingRadiance at a temperature [K], with the light that its faces reflect from `light`."""
@@ -165,7 +164,9 @@ class DynamicObject:
         corner = np.concatenate([surface.vertices for surface in self.surfaces]) @ pose[:3, :3].T + pose[:3, 3]
         return np.stack([corner.min(axis=0), corner.max(axis=0)])
 
-    def _light(self, pose: Floats, temperature: float, geometry: Geometry, static: StaticLight) -> _Exchange:
+    def _light(
+        self, pose: Floats, temperature: float, geometry: Geometry, static: StaticLight, sunlit: SunlitFaces | None
+    ) -> _Exchange:
         """As `light`."""
         from scipy.sparse import csr_array
 
@@ -210,9 +211,10 @@ class DynamicObject:
             ends_on.append(face)
             squares.append((change.sum(axis=1) * weight) ** 2)
             changes.append((change @ spectrum.share.T) * weight[:, None])
-        if static.sun is not None:
-            face, hidden_share = self._shaded(pose, geometry, static.sun)
-            change = -hidden_share[:, None] * static.sun.facing * static.reflectance[face]
+        if static.sun is not None and sunlit is not None:
+            own_from_scene = _matrix(mi, np.asarray(np.linalg.inv(pose), np.float64))
+            face, taken = sunlit.shaded(self.geometry, self.box(pose), own_from_scene)
+            change = -taken[:, None] * static.sun.facing * static.reflectance[face]
             ends_on.append(face)
             squares.append(np.zeros(len(face)))
             changes.append(change @ spectrum.share.T)
@@ -235,38 +237,6 @@ class DynamicObject:
         facing = (cosine > 0.0) & ~self.geometry.caster.ray_test(mi.Ray3f(origin, own_way), active=cosine > 0.0)
         lit = dr.maximum(cosine, 0.0) * geometry.sunlight(mi.Point3f(matrix @ origin + origin_m), towards, facing)
         return np.array(lit, np.float64).reshape(count, -1).mean(axis=1)
-
-    def _shaded(self, pose: Floats, geometry: Geometry, sun: Sunlight) -> tuple[NDArray[np.int64], Floats]:
-        """(Static faces that the object shades, part of `Sunlight.lit` that it takes from each)."""
-        mi, nothing = self.geometry.mi, (np.zeros(0, np.int64), np.zeros(0))
-        if self._ground is None or self._ground[0] is not geometry:
-            corners = np.concatenate([each.vertices[each.faces] for each in geometry.surfaces])
-            middle = corners.mean(axis=1)
-            reach = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
-            # Copies of a body are not where its faces are.
-            own = [np.full(len(each.faces), each.instances is None) for each in geometry.surfaces]
-            reach[~np.concatenate(own)] = -np.inf
-            self._ground = geometry, middle, reach, radiosity.FaceRays(geometry, SHADE_POINTS // 2)
-        _, middle, reach, rays_of = self._ground
-        low, high = self.box(pose)
-        away = middle - 0.5 * (low + high)
-        ahead = away @ sun.towards
-        # From the axis of the shadow.
-        aside = np.linalg.norm(away - ahead[:, None] * sun.towards, axis=1)
-        radius = 0.5 * np.linalg.norm(high - low)
-        face = np.flatnonzero((aside < radius + reach) & (ahead < radius + reach) & (sun.lit[: len(middle)] > 0.0))
-        if not face.size:
-            return nothing
-        origin, _, _, normal = rays_of(mi.UInt32(aligned(face, np.uint32)), 0)
-        matrix, origin_m = _matrix(mi, np.asarray(np.linalg.inv(pose), np.float64))
-        own_way = opaque_vector(mi, pose[:3, :3].T @ sun.towards)
-        facing = dr.dot(normal, opaque_vector(mi, sun.towards)) > 0.0
-        ray = mi.Ray3f(mi.Point3f(matrix @ origin + origin_m), own_way)
-        hidden = facing & self.geometry.caster.ray_test(ray, active=facing)
-        shares = [np.array(dr.select(each, mi.Float(1.0), mi.Float(0.0))) for each in (hidden, facing)]
-        hidden, facing = (share.reshape(len(face), -1).mean(axis=1) for share in shares)
-        found = np.flatnonzero(hidden > 0.0)
-        return face[found], (sun.lit[face] * hidden / np.maximum(facing, 1e-9))[found]
 
 
 def _matrix(mi: Mitsuba, pose: Floats) -> tuple[Jit, Jit]:

@@ -117,8 +117,8 @@ class Scene:
     surroundings_temperature : float
         Temperature of the black background beyond the terrain's edge [K]: as stated, else its texels' mean.
     sun : SunSpec or None
-        The sun that shines on the scene. If temperatures follow the weather, its position is that at `time`, and it
-        shines through air if its direct irradiance is above 120 W m⁻²; until they are solved there is none.
+        The sun that shines on the scene: the declared one, or that of the weather at `time`, through air if its direct
+        irradiance is above 120 W m⁻². Until temperatures that follow the weather are solved there is none.
     weather : Weather
         The weather that the scene declares, at its own place; read when first asked for.
     ground : callable

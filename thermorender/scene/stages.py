@@ -236,8 +236,8 @@ def sun(
 ) -> SunSpec | None:  # fmt: skip
     """Return the sun that shines on the scene, or None.
 
-    If temperatures follow the weather, it is the sun's position at `time`, provided that its direct irradiance is above
-    120 W m⁻²; until they are solved there is none. Otherwise it is the declared one, or without one that of a weather.
+    It is the declared one, or that of the weather at `time`, provided that its direct irradiance is above 120 W m⁻².
+    Until temperatures that follow the weather are solved there is none.
     """
     if spec_sun is not None or time is None:
         return spec_sun

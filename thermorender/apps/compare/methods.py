@@ -189,7 +189,7 @@ def _photographs(given: Given, text: str, model: TemperatureMap) -> Iterator[Met
         yield from translated(model, given.campaign, _sky_of(given.scene, model, given.campaign))
         note = model.band_note(given.scene.camera.band_um)
         if note:
-            yield f"L{note[1:]} than the camera's of {given.scene.name}: B takes them as those of the camera's band."
+            yield f"B: {note} than the camera's of {given.scene.name}, and they are taken as those of the camera's."
 
 
 def _true_materials(given: Given, text: str, model: TemperatureMap) -> Iterator[Method | str]:

@@ -1,6 +1,6 @@
 """Light on faces from beyond a scene's surfaces: the sky by zenith angle and altitude, the surroundings, the sun."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import numpy as np
@@ -32,6 +32,11 @@ class Sunlight:
     facing: Floats  # (N,) irradiance of a face towards it, over π, at the spectral nodes [W m⁻² sr⁻¹]
     lit: Floats  # (F,) irradiance of each face over that of a face towards it
 
+    def on(self, part: slice | NDArray[np.integer]) -> Floats:
+        """Return the irradiance of a part of the faces over π, (n, N) [W m⁻² sr⁻¹]."""
+        found: Floats = self.lit[part, None] * self.facing
+        return found
+
 
 @dataclass(frozen=True)
 class Environment:
@@ -40,8 +45,7 @@ class Environment:
     sky: Floats  # (A, B, N) at each level of altitude, in each of `radiosity.SKY_BINS` bins of zenith angle
     level: Floats  # (F, A) interpolation weight of each level at a face's altitude
     background: Floats  # (N,) surroundings below the horizon
-    direct: Floats | None = None  # (F, N) the sun's irradiance on each face over π, where included
-    sun: "Sunlight | None" = None
+    sun: Sunlight | None = None  # where included
 
     def light(self, up: Floats, down: Floats, part: slice | NDArray[np.integer] = _ALL) -> Floats:
         """Return the radiance without sunlight on a part of the faces, (n, N), from fractions of sky (n, B) and
@@ -57,14 +61,14 @@ class Environment:
         up, down = transport.up[part].astype(np.int32), transport.down[part].astype(np.int32)
         rays = 2.0 * transport.rays
         whole = self.light((up[:, 0] + up[:, 1]) / rays, (down[:, 0] + down[:, 1]) / rays, part)
-        if self.direct is not None:
-            whole += self.direct[part]
+        if self.sun is not None:
+            whole += self.sun.on(part)
         return whole, self.light((up[:, 0] - up[:, 1]) / rays, (down[:, 0] - down[:, 1]) / rays, part)
 
     def at(self, nodes: slice) -> "Environment":
         """Return the Environment at a slice of the nodes."""
-        direct = None if self.direct is None else self.direct[:, nodes]
-        return Environment(self.sky[..., nodes], self.level, self.background[nodes], direct, self.sun)
+        sun = None if self.sun is None else replace(self.sun, facing=self.sun.facing[nodes])
+        return Environment(self.sky[..., nodes], self.level, self.background[nodes], sun)
 
 
 def even(sky: Floats, background: Floats, faces: int) -> Environment:
@@ -91,8 +95,7 @@ def of_scene(scene: Scene, plan: Plan, geometry: Geometry, touching: NDArray[np.
     assert scene.sun is not None
     towards = sun.direction(scene.sun.elevation_deg, scene.sun.azimuth_deg)
     facing = spectrum.gathered(spectrum.points.sunlight(low, towards[2])) / np.pi
-    light = Sunlight(towards, facing, sunlit(geometry, towards, touching))
-    return Environment(sky, level, background, light.lit[:, None] * facing, light)
+    return Environment(sky, level, background, Sunlight(towards, facing, _sunlit(geometry, towards, touching)))
 
 
 def sky_bins(air: Atmosphere, at_m: float) -> Floats:
@@ -106,8 +109,8 @@ def sky_bins(air: Atmosphere, at_m: float) -> Floats:
     return (weight[..., None] * air.sky_radiance(at_m, cosine)).sum(axis=1) / weight.sum(axis=1, keepdims=True)
 
 
-def sunlit(geometry: Geometry, towards: Floats, touching: NDArray[np.integer]) -> Floats:
-    """Return the sun's irradiance on each face over that of a plane normal to its rays, (F,)."""
+def _sunlit(geometry: Geometry, towards: Floats, touching: NDArray[np.integer]) -> Floats:
+    """The sun's irradiance on each face over that of a plane normal to its rays, (F,)."""
     mi = geometry.mi
     rays_of, seen = radiosity.FaceRays(geometry, SUN_POINTS // 2), np.empty(geometry.face_count)
     if len(touching):

@@ -50,7 +50,7 @@ class Walks:
         self._beyond = mi.Float(aligned(beyond))
         position = around.level @ np.arange(levels)
         self._level, self._last = mi.Float(aligned(position)), dr.opaque(mi.UInt32, levels - 1)
-        self._direct = None if around.direct is None else mi.Float(aligned(around.direct))
+        self._direct = None if around.sun is None else mi.Float(aligned(around.sun.on(slice(None))))
         # Walks choose their node from this table, each at least once.
         black = spectrum.black([plan.warmest])[0]
         number = np.maximum(np.rint(_TABLE * black / black.sum()).astype(int), 1)

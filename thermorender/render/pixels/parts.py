@@ -249,5 +249,5 @@ def _outside(baked: LoadedLight, faces: NDArray[np.intp]) -> Floats:
     assert transport is not None
     up = transport.up[faces].sum(axis=1, dtype=np.int64) / (2.0 * transport.rays)
     sky = around.light(up, np.zeros(len(faces)), faces)
-    sun = np.zeros_like(sky) if around.direct is None else around.direct[faces]
+    sun = np.zeros_like(sky) if around.sun is None else around.sun.on(faces)
     return np.stack([sky, sun])

@@ -11,7 +11,7 @@ from thermorender.render.air import PathGrid
 from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned, opaque_vector
 from thermorender.render.geometry import box_of, farthest
 from thermorender.render.plan import Plan
-from thermorender.render.reflection.reflectance import Glint, ReflectanceTables, bent, facet_variance
+from thermorender.render.reflection.reflectance import Glint, bent, facet_variance
 from thermorender.render.spectrum import Spectrum
 from thermorender.scene.scene import Scene
 
@@ -30,10 +30,15 @@ class DirectionalTexels:
 
 
 class DeviceTables:
-    """ReflectanceTables on the device, for the rays of a Plan."""
+    """The ReflectanceTables of a Plan on the device."""
 
-    def __init__(self, mi: Mitsuba, tables: ReflectanceTables, scene: Scene, plan: Plan) -> None:
-        spectrum, spacing = plan.spectrum, 1.0 / (scene.camera.focal_length_px * plan.sampling.samples**0.5)
+    def __init__(self, mi: Mitsuba, scene: Scene, plan: Plan) -> None:
+        assert plan.specular is not None
+        tables, spectrum, spacing = (
+            plan.specular,
+            plan.spectrum,
+            1.0 / (scene.camera.focal_length_px * plan.sampling.samples**0.5),
+        )
         self.number, self._mi = tables.number, mi
         self._path = None if scene.air is None else _paths(mi, scene.air, tables.at_m, scene, spectrum)
         self._at_m = None if scene.air is None else dr.opaque(mi.Float, tables.at_m)

@@ -103,10 +103,11 @@ def _reflected(
     reflected = by(seen, length)
     if glint and tables.glint is not None:
         sun = tables.glint.seen(kind, normal, view)
-        free = mi.Bool(True)
+        # Channels may be negative.
+        free = sum(map(dr.abs, sun)) > 0.0
         for layer in layers:
             ray = mi.Ray3f(*transformed(first.view, layer.view, origin, tables.glint.direction))
-            free &= ~layer.geometry.caster.ray_test(ray, coherent=True)
+            free &= ~layer.geometry.caster.ray_test(ray, coherent=True, active=free)
         lit = dr.select(free, 1.0, 0.0)
         if first.geometry.crowns is not None:
             lit = dr.select(free, first.geometry.crowns_passed(origin, tables.glint.towards, free), 0.0)
