@@ -195,7 +195,8 @@ def test_likelihoods_are_those_of_procedural_land():
 def test_scene_uses_heights_where_they_show_houses(tmp_path):
     height = np.zeros((32, 32))
     height[4:12, 4:12] = 6.0
-    grey = np.full((64, 64, 3), 90)
+    grey = np.clip(90.0 + 8.0 * np.random.default_rng(0).standard_normal((64, 64, 1)), 0, 255).repeat(3, axis=2)
+    grey = grey.astype(np.uint8)
     with_heights = tr.load_scene(learned(tmp_path / "with", height=height, colour=grey))
     without = tr.load_scene(learned(tmp_path / "without", "heights = false", height=height, colour=grey))
     assert "heights are not used: emissivity.heights is false" in without.emissivity_report["context"]
@@ -209,7 +210,7 @@ def test_scene_uses_heights_where_they_show_houses(tmp_path):
         return np.mean(np.array(share)[scene.surfaces[0].material[rows, columns]])
 
     house, yard = (slice(12, 20),) * 2, (slice(40, 60),) * 2
-    assert roofs(with_heights, *house) > roofs(without, *house) + 0.2
+    assert roofs(with_heights, *house) > 5.0 * roofs(without, *house)
     assert roofs(with_heights, *yard) < 0.5 * roofs(without, *yard)
 
 
@@ -275,8 +276,10 @@ def test_evidence_leaves_the_ratios_of_what_it_allows(model):
         Evidence(number, np.array([[1, 1, 1], group], np.float32))])  # fmt: skip
     like = np.zeros((40, 40), bool)
     like[:20] = before.confidence[:20] > 0.0
+    # Less is not above what any material has before others are excluded.
+    like &= kept["before"][group].sum(axis=0) > 1e-5
     inside = kept["before"][group][:, like]
-    assert like[:, :20].sum() > 200
+    assert like[:, :20].sum() > 100
     assert kept["after"][group][:, like] == pytest.approx(inside / inside.sum(axis=0), abs=1e-6)
     assert kept["after"][~group][:, :20].max() == 0.0
     assert kept["after"][:, 20:] == pytest.approx(kept["before"][:, 20:], abs=1e-6)

@@ -242,9 +242,10 @@ class Frame:
         channels over the same spectra. "mirrors": largest error of reflections up to 80°, and of the third mirror in a
         chain, which is left out. "preview": of a preview of an edit, what it leaves out. "total". "image": the total
         over all pixels; sky and surroundings only have an error of sampling. These are estimates; only that of the
-        solution is a bound, and an object that no ray hits is not in them. With a learned emissivity, "emissivity" is
-        its standard deviation under the unobstructed sky; with air, "gases" is what is not known of its absorption
-        between camera and surfaces. Both are properties of the scene, so the total leaves them out.
+        solution is a bound, and an object that no ray hits is not in them. With a learned emissivity, "emissivity" and
+        "emissivity_mean" are the effects of its standard deviations, of a texel and of a mean over many, under the
+        unobstructed sky; with air, "gases" is what is not known of its absorption between camera and surfaces. They
+        are properties of the scene, so the total leaves them out.
         None for a frame of the reference engine, whose error is its noise. Most frames of a flight have the budget of
         the frame `budget_frame`.
         """
@@ -308,7 +309,8 @@ class Frame:
         -------
         dict
             kinetic_temperature [K], emissivity (band mean at 300 K; towards the camera where it depends on the angle),
-            emissivity_std (its standard deviation, for scenes with a learned emissivity),
+            emissivity_std and, for scenes with a learned emissivity, emissivity_mean_std (its standard deviations: of a
+            texel whose material is uncertain, and of a mean over many such texels),
             depth along the optical axis [m], each (H, W) float32; position (H, W, 3) float32 in the local frame [m];
             material (H, W) uint8, 255 for none; object (H, W) uint32, from 1 in the order of `objects`, 0 for none;
             mask (H, W) uint8, flags of `thermorender.scene.surface`. NaN (depth: infinity) where nothing is hit.

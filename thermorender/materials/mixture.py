@@ -2,7 +2,7 @@
 
 The emissivity of a mixture is the area-weighted mean of its parts. It describes a texel that the camera cannot resolve,
 and the expected value of a texel whose material is uncertain. There, the standard deviation over the possible materials
-is the uncertainty.
+is the uncertainty of the texel, and that over the means of their groups the uncertainty of a mean over many texels.
 """
 
 from collections.abc import Sequence
@@ -20,6 +20,16 @@ _STEPS = 8
 _BAND_SAMPLES = 48
 
 
+@dataclass(frozen=True)
+class Doubt:
+    """What a learned map knows of possible materials besides their probabilities."""
+
+    groups: tuple[str, ...]  # Group of surfaces that each belongs to, such as roofs
+    mean_std: tuple[float, ...]  # Uncertainty of the mean emissivity of that group [1]
+    # Calibrated factors on the deviations between groups, for a mean, and between materials, for a texel.
+    factors: tuple[float, float] = (1.0, 1.0)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Mixture(Material):
     """A Material made of others."""
@@ -28,22 +38,48 @@ class Mixture(Material):
     parts: tuple[tuple[Material, float], ...] = ()
     # The materials whose mean its emissivity is, where these are more than its parts. The probabilities sum to one.
     possible: tuple[tuple[Material, float], ...] = ()
+    # About the possible materials, where a map knows more of them.
+    doubt: Doubt | None = None
 
     def band_emissivity_std(self, lower_um: float, upper_um: float, temperature: float) -> float:
-        """Return the standard deviation of the band emissivity [1] over the possible materials, NaN without these.
+        """Return the standard deviation of the band emissivity [1] of one texel, NaN without possible materials.
 
         It is smaller than the band mean of the spectrum's standard deviation, because spectra cross within the band.
         """
         if not self.possible:
             return super().band_emissivity_std(lower_um, upper_um, temperature)
+        share, value, own = self._possible_in(lower_um, upper_um, temperature)
+        variance = share @ ((value - share @ value) ** 2 + np.square(own))
+        if self.doubt is None:
+            return float(np.sqrt(variance))
+        return float(np.hypot(self.doubt.factors[1] * np.sqrt(variance), share @ self.doubt.mean_std))
+
+    def band_emissivity_mean_std(self, lower_um: float, upper_um: float, temperature: float) -> float:
+        """Return the standard deviation [1] of the mean band emissivity of many such texels, NaN where it is unknown.
+
+        Materials of a group differ from texel to texel and average out; which group it is, and the group's mean, do
+        not.
+        """
+        if self.doubt is None:
+            return float("nan")
+        share, value, _ = self._possible_in(lower_um, upper_um, temperature)
+        mean, variance = share @ value, 0.0
+        groups = np.array(self.doubt.groups)
+        for group in set(self.doubt.groups):
+            part = share * (groups == group)
+            if part.any():
+                variance += part.sum() * (part @ value / part.sum() - mean) ** 2
+        return float(np.hypot(self.doubt.factors[0] * np.sqrt(variance), share @ self.doubt.mean_std))
+
+    def _possible_in(self, *band: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """(probability, band emissivity, its own standard deviation) of each possible material, (K,)."""
         share = np.array([part for _, part in self.possible])
-        band = lower_um, upper_um, temperature
         value, own = np.array([_band_values(material, band) for material, _ in self.possible]).T
-        return float(np.sqrt(share @ ((value - share @ value) ** 2 + np.square(own))))
+        return share, value, own
 
 
 @lru_cache(maxsize=512)
-def _band_values(material: Material, band: tuple[float, float, float]) -> tuple[float, float]:
+def _band_values(material: Material, band: tuple[float, ...]) -> tuple[float, float]:
     """(band emissivity, its standard deviation or 0) of a material; each of many mixtures asks for it."""
     return float(material.band_emissivity(*band)), float(np.nan_to_num(material.band_emissivity_std(*band)))
 
@@ -67,12 +103,14 @@ def largest_part(name: str) -> str:
         return name
 
 
-def mix(parts: Sequence[tuple[Material, float]], possible: Sequence[tuple[Material, float]] = ()) -> Material:
+def mix(
+    parts: Sequence[tuple[Material, float]], possible: Sequence[tuple[Material, float]] = (), doubt: Doubt | None = None
+) -> Material:
     """Return the Mixture of (Material, share) pairs whose shares sum to one; for a single part, that Material.
 
     `possible` are (Material, probability) pairs where the material is uncertain. The emissivity is then their mean, and
     its standard deviation is theirs and the materials' own in quadrature. The mixture is known at the wavelengths of
-    all its materials, without the gaps of any.
+    all its materials, without the gaps of any. `doubt` is on each of the possible materials.
     """
     if len(parts) == 1 and len(possible) < 2:
         return parts[0][0]
@@ -92,7 +130,7 @@ def mix(parts: Sequence[tuple[Material, float]], possible: Sequence[tuple[Materi
         temperature=float(share @ [material.temperature for material in materials]), source=every("source"),
         citation=every("citation"), licence=every("licence"),
         gaps_um=tuple(gap for material, _ in possible or parts for gap in material.gaps_um), parts=tuple(parts),
-        possible=tuple(possible),
+        possible=tuple(possible), doubt=doubt,
     )  # fmt: skip
 
 
@@ -118,15 +156,15 @@ def _mean_spectrum(
 
 def palette(
     index: NDArray[np.uint8], share: NDArray[Any], probability: NDArray[np.uint8], materials: Sequence[Material],
-    band_um: tuple[float, float], most: int, group: NDArray[np.uint8] | None = None,
+    band_um: tuple[float, float], most: int, group: NDArray[np.uint8] | None = None, doubt: Doubt | None = None,
 ) -> tuple[NDArray[np.uint8], list[Material], dict[str, float]]:  # fmt: skip
     """Return (number (h, w) uint8, materials and mixtures, error) for texels of several materials.
 
     `index` (h, w, 3) are the indices into `materials`, `share` their shares, largest first, which sum to one, and
     `probability` (h, w, C) that of each material, in any unit. `number` is the index into the returned materials, at
     most `most` ≤ 256, which are compared over `band_um`. Texels of different `group` (h, w), fewer than `most`, share
-    no entry: other materials may be excluded there. `error` has the "mean" and "largest" change of a texel's
-    band-averaged emissivity by rounded shares and the limited palette.
+    no entry: other materials may be excluded there. `doubt` is on each of the materials. `error` has the "mean" and
+    "largest" change of a texel's band-averaged emissivity by rounded shares and the limited palette.
     """
     # One number per texel: three materials in a byte each, and the second and third share.
     code = np.rint(share[..., 2] * _STEPS).astype(np.uint32) * (_STEPS + 1)
@@ -164,10 +202,16 @@ def palette(
     made = [
         mix([(materials[k], float(shares[which, k])) for k in np.argsort(-shares[which], kind="stable")[:3]
              if shares[which, k] > 0.0],
-            [(material, float(part)) for material, part in zip(materials, possible[which], strict=True) if part > 0.0])
+            [(materials[k], float(possible[which, k])) for k in np.flatnonzero(possible[which]).tolist()],
+            doubt and _of(doubt, np.flatnonzero(possible[which])))
         for which in chosen
     ]  # fmt: skip
     return number, made, {"mean": float(change.mean()), "largest": float(change.max())}
+
+
+def _of(doubt: Doubt, numbers: NDArray[np.intp]) -> Doubt:
+    """The part of a Doubt on materials by number."""
+    return Doubt(tuple(doubt.groups[k] for k in numbers), tuple(doubt.mean_std[k] for k in numbers), doubt.factors)
 
 
 def _means(group: NDArray[np.integer], probability: NDArray[np.uint8], count: int) -> NDArray[np.float64]:

@@ -104,11 +104,15 @@ class DeviceScene:
 
     @cached_property
     def emissivities(self) -> list[Jit]:
-        """Band emissivity of each material at REFERENCE_K, Float, and its standard deviation if a material has one."""
+        """Band emissivity of each material at REFERENCE_K, Float, and of uncertain ones its standard deviations of one
+        texel and, by a map, of a mean over many."""
         materials, at = self._scene.materials, (*self._scene.camera.band_um, REFERENCE_K)
         tables: list[Any] = [[each.band_emissivity(*at) for each in materials]]
         if any(isinstance(each, Mixture) for each in materials):
             tables.append([each.band_emissivity_std(*at) for each in materials])
+        if any(isinstance(each, Mixture) and each.doubt for each in materials):
+            tables.append([each.band_emissivity_mean_std(*at) if isinstance(each, Mixture) else np.nan
+                           for each in materials])  # fmt: skip
         return [self._mi.Float(aligned(table)) for table in tables]
 
     def alone(self, name: str, states: Sequence[ObjectState]) -> tuple[Geometry, Floats]:

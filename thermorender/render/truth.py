@@ -28,6 +28,8 @@ from thermorender.scene.surface import BACKGROUND, BEHIND
 from thermorender.sensor.camera import Camera
 
 NO_MATERIAL = 255
+# Images of the uncertainty of a learned emissivity: of one texel, and of a mean over many.
+EMISSIVITY_STDS = ("emissivity_std", "emissivity_mean_std")
 # (H, W) of any dtype.
 Image = NDArray[Any]
 
@@ -73,7 +75,7 @@ def truth(
         "kinetic_temperature": kelvin, "emissivity": emissivity, "material": material, "object": number,
         "depth": depth, "position": np.stack(others[:3], axis=-1), "mask": (kind >> 8).astype(np.uint8),
     }  # fmt: skip
-    return images | ({"emissivity_std": others[4]} if len(of_material) > 1 else {})
+    return images | dict(zip(EMISSIVITY_STDS, others[4 : 3 + len(of_material)], strict=False))
 
 
 def pixel_middles(

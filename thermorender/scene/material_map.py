@@ -104,7 +104,7 @@ def model_of(
     """Return (EmissivityMap of a source "learned" without what does not occur, sentences on what weather excludes)."""
     assert source.model is not None
     whole = load_map(source.model)
-    model = whole.without(source.without)
+    model = whole.without(source.without).with_shares(source.shares)
     for name in source.present:
         if name not in whole.materials:
             raise ThermorenderError(
@@ -141,7 +141,7 @@ def learned_materials(
     unknown = valid & (confidence < source.confidence)
     # Pictures of a scene have the same cases, or none of them has any.
     group = np.concatenate([one.number.ravel() for one in known]) if known else None
-    number, used, error = palette(index, share, probability, own, band_um, _MOST_MIXES, group)
+    number, used, error = palette(index, share, probability, own, band_um, _MOST_MIXES, group, model.doubt(names))
     number[unknown] = len(used)
     # The fallback is not learned.
     std = np.array([*(one.band_emissivity_std(*band_um, _REFERENCE_K) for one in used), 0.0])[number]

@@ -290,6 +290,8 @@ class EmissivitySpec:
     without: tuple[str, ...] = key(texts, ())
     # Snow materials that stay possible although the weather excludes snow.
     present: tuple[str, ...] = key(texts, ())
+    # Stated share of a material in the area of its group of surfaces, in place of a learned map's.
+    shares: dict[str, float] = key(mapping(share, text), {})
     # GeoJSON of OpenStreetMap tags that restrict the materials inside its shapes, for a learned map.
     known: Path | None = key(file_inside, None)
     # Whether heights above the ground and slopes weigh the materials of a learned map.
@@ -300,7 +302,7 @@ class EmissivitySpec:
         needs = {"constant": ["value"], "material": ["material"], "classes": ["classes"],
                  "learned": ["model", "fallback"]}  # fmt: skip
         _needed(where, self, needs)
-        for name in ("present", "known", "heights"):
+        for name in ("present", "shares", "known", "heights"):
             if name in given and self.source != "learned":
                 where.of(name).refuse(given[name], f"it with source='learned' only, not {self.source!r}")
         for name in set(self.present) & set(self.without):

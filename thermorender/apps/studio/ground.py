@@ -126,7 +126,7 @@ def learned_from(session: "Session", progress: Callable[[str, float], None]) -> 
     found = map_materials(
         model, picture.colour, picture.texel_m, lambda share: progress("mapping the materials", share)
     )
-    std = found.moments(np.array([*map(band_emissivity_of([folder]), model.materials)], np.float32))[1]
+    std = model.moments(found.probability, np.array([*map(band_emissivity_of([folder]), model.materials)]))[2]
     # Materials of the scene keep the colours of the other layer; those beyond it get the next ones.
     names = list(dict.fromkeys([*(each.name for each in session.base.materials), *model.materials]))
     best = np.array([names.index(name) for name in model.materials], np.uint8)[found.index[..., 0]]

@@ -1,7 +1,8 @@
 """Adaptation of an emissivity map to one scene by a few labelled polygons.
 
-The last layer is refitted with a penalty on the change of its weights. Whole polygons are left out in turn to choose
-the penalty and calibrate the probabilities, because texels of one polygon look alike.
+The last layers of its networks are refitted together, with a penalty on the change of their weights. Whole polygons are
+left out in turn to choose the penalty and calibrate the uncertainties, because texels of one polygon look alike. In a
+group of surfaces with labels, the labels and not the land cover decide which material it is.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,10 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from thermorender.apps.training.emissivity_training import Labelled, emissivity_loss, fitted_posterior
+from thermorender.apps.training.emissivity_training import Labelled, fitted_spread
 from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity.features import NAMES, NEAR, features
-from thermorender.learned.emissivity.mapping import MOST_MATERIALS, EmissivityMap, hidden, to_grid
+from thermorender.learned.emissivity.land_cover import group_of, shares_of
+from thermorender.learned.emissivity.mapping import MOST_MATERIALS, EmissivityMap, hidden, softmax, to_grid
 
 # Penalties tried, from almost free to almost fixed weights.
 _PENALTIES = (1e-3, 1e-2, 1e-1)
@@ -54,30 +56,43 @@ def adapted(
         )
     described = features(rgb).reshape(-1, len(NAMES))
     most = min(_MOST_PER_POLYGON, max(1, _MOST_TEXELS // len(polygons)))
+    more = materials[len(model.materials) :]
+    width = len(model.networks[0][-1][1])
+    outputs = (*model.outputs, *range(width, width + len(more)))
     texels, truth, polygon = [], [], []
     for number, (value, inside) in enumerate(polygons):
         texels.append(described[inside[generator.permutation(len(inside))[:most]]])
-        truth.append(np.full(len(texels[-1]), materials.index(item.names[value])))
+        truth.append(np.full(len(texels[-1]), outputs[materials.index(item.names[value])]))
         polygon.append(np.full(len(texels[-1]), number))
     found, label, of = map(np.concatenate, (texels, truth, polygon))
     standard = (found - model.mean) / model.scale
-    before = hidden(model.layers, standard)
-    start = _start(model, before, len(materials))
+    before = np.stack([hidden(layers, standard) for layers in model.networks])
+    start = _start(model, before, width + len(more))
     folds = np.array_split(generator.permutation(len(polygon)), min(_FOLDS, len(polygon)))
     scored = {penalty: _left_out(start, before, label, of, folds, penalty) for penalty in _PENALTIES}
-    values = np.array([emissivity(each) for each in materials])
-    posteriors = {penalty: fitted_posterior(*scores, values) for penalty, scores in scored.items()}
-    best = min(_PENALTIES, key=lambda penalty: emissivity_loss(*scored[penalty], values, *posteriors[penalty]))
+    best = min(_PENALTIES, key=lambda penalty: _surprise(scored[penalty]))
     weight, bias = _fitted(start, before, label, of, best)
-    softening, prior = posteriors[best]
     near = np.stack([standard[of == one][:, NEAR].mean(axis=0) for one in range(len(polygon))])
     about = {**model.about, "adapted_to": f"{len(polygon)} polygons: {item.source}", "adapted_from": model.name}
     if item.unused:
         about["unused_labels"] = item.unused
-    return replace(
-        model, name=name, materials=tuple(materials), layers=(*model.layers[:-1], (weight, bias)), about=about,
-        centres=np.concatenate([model.centres, near.astype(np.float32)]), softening=softening, prior=prior,
+    groups = (*model.groups, *map(group_of, more))
+    told = {groups[materials.index(item.names[value])] for value in present}
+    own = (*model.own, *(1.0,) * len(more))
+    new = replace(
+        model, name=name, materials=tuple(materials), about=about,
+        networks=tuple((*layers[:-1], last) for layers, last in zip(model.networks, zip(weight, bias, strict=True),
+                                                                    strict=True)),
+        centres=np.concatenate([model.centres, near.astype(np.float32)]), groups=groups,
+        share=(*model.share, *shares_of(more)),
+        own=tuple(1.0 if group in told else part for group, part in zip(groups, own, strict=True)), outputs=outputs,
     )  # fmt: skip
+    place = np.zeros(width + len(more), np.int64)
+    place[list(outputs)] = np.arange(len(outputs))
+    tests = [(probability[:, outputs] @ new.levelling, place[each]) for probability, each in scored[best]]
+    spread = fitted_spread(new, tests, np.array([emissivity(each) for each in materials]))
+    # Few polygons of one picture cannot show that the map is surer than it says.
+    return replace(new, spread=(max(spread[0], 1.0), max(spread[1], 1.0)))
 
 
 def _connected(mask: np.ndarray) -> list[np.ndarray]:
@@ -90,53 +105,67 @@ def _connected(mask: np.ndarray) -> list[np.ndarray]:
 
 
 def _start(model: EmissivityMap, before: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Last layer (weight, bias) with columns for `count` materials; the new ones are improbable."""
-    weight, bias = model.layers[-1]
-    new = count - len(bias)
-    lowest = np.float32((before @ weight + bias).max(axis=1).mean() + _NEW)
-    return np.hstack([weight, np.zeros((len(weight), new), np.float32)]), np.append(bias, np.full(new, lowest))
+    """Last layers, weights (M, H, C) and biases (M, C), with columns for `count` materials; new ones are improbable."""
+    weights, biases = [], []
+    for values, layers in zip(before, model.networks, strict=True):
+        weight, bias = layers[-1]
+        new = count - len(bias)
+        lowest = np.float32((values @ weight + bias).max(axis=1).mean() + _NEW)
+        # Labels may show materials that a network never saw.
+        seen = np.maximum(bias, lowest)
+        weights.append(np.hstack([weight, np.zeros((len(weight), new), np.float32)]))
+        biases.append(np.append(seen, np.full(new, lowest)))
+    return np.stack(weights), np.stack(biases)
 
 
 def _fitted(
     start: tuple[np.ndarray, np.ndarray], before: np.ndarray, label: np.ndarray, polygon: np.ndarray, penalty: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Last layer fitted to texels; each polygon counts the same."""
+    """Last layers fitted to texels by the likelihood of the networks' mean; each polygon counts the same."""
     from scipy.optimize import minimize
 
     weight, bias = start
-    scale = before.std(axis=0) + 1e-3
-    first = np.vstack([weight * scale[:, None], bias]).astype(np.float64)
-    entry = np.hstack([before / scale, np.ones((len(before), 1))]).astype(np.float64)
+    scale = before.std(axis=1)[:, :, None] + 1e-3
+    first = np.concatenate([weight * scale, bias[:, None]], axis=1).astype(np.float64)
+    ones = np.ones((*before.shape[:2], 1))
+    entry = np.concatenate([before / scale.transpose(0, 2, 1), ones], axis=2).astype(np.float64)
     share = 1.0 / np.bincount(polygon)[polygon]
     share /= share.sum()
-    hot = np.zeros((len(label), len(bias)))
-    hot[np.arange(len(label)), label] = 1.0
+    texel = np.arange(len(label))
 
     def loss(flat: np.ndarray) -> tuple[float, np.ndarray]:
         change = flat.reshape(first.shape)
-        score = entry @ (first + change)
-        score -= score.max(axis=1, keepdims=True)
-        probability = np.exp(score)
-        probability /= probability.sum(axis=1, keepdims=True)
-        value = -(share * np.log(np.maximum(probability[np.arange(len(label)), label], 1e-30))).sum()
-        slope = entry.T @ (share[:, None] * (probability - hot)) + penalty * change
-        return value + 0.5 * penalty * (change**2).sum(), slope.ravel()
+        probability = softmax(entry @ (first + change))
+        right = probability[:, texel, label]
+        whole = np.maximum(right.sum(axis=0), 1e-30)
+        value = -(share * np.log(whole / len(right))).sum() + 0.5 * penalty * (change**2).sum()
+        # Each network answers for a texel by its part of the right material's probability.
+        part = share * right / whole
+        slope = part[..., None] * probability
+        slope[:, texel, label] -= part
+        return value, (entry.transpose(0, 2, 1) @ slope + penalty * change).ravel()
 
     change = minimize(loss, np.zeros(first.size), jac=True, method="L-BFGS-B", options={"maxiter": 60}).x
     last = first + change.reshape(first.shape)
-    return (last[:-1] / scale[:, None]).astype(np.float32), last[-1].astype(np.float32)
+    return (last[:, :-1] / scale).astype(np.float32), last[:, -1].astype(np.float32)
 
 
 def _left_out(
     start: tuple[np.ndarray, np.ndarray], before: np.ndarray, label: np.ndarray, polygon: np.ndarray,
     folds: Sequence[np.ndarray], penalty: float,
-) -> tuple[list[np.ndarray], list[np.ndarray]]:  # fmt: skip
-    """(scores, labels) of polygons left out of the fit, a pair of lists with an array per fold."""
-    scores, labels = [], []
+) -> list[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
+    """(probabilities, labels) of polygons left out of the fit, a pair per fold."""
+    found = []
     for fold in folds:
         out = np.isin(polygon, fold)
         _, own = np.unique(polygon[~out], return_inverse=True)
-        weight, bias = _fitted(start, before[~out], label[~out], own, penalty)
-        scores.append(before[out] @ weight + bias)
-        labels.append(label[out])
-    return scores, labels
+        weight, bias = _fitted(start, before[:, ~out], label[~out], own, penalty)
+        found.append((softmax(before[:, out] @ weight + bias[:, None]).mean(axis=0), label[out]))
+    return found
+
+
+def _surprise(scored: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:
+    """Mean negative logarithm of the probability of the right material, of (probabilities, labels) pairs."""
+    return float(np.mean([
+        -np.log(np.maximum(probability[np.arange(len(label)), label], 1e-6)).mean() for probability, label in scored
+    ]))  # fmt: skip

@@ -1,34 +1,41 @@
 """Training of an emissivity map from orthophotos with known materials, fully or partly labelled.
 
-A multilayer perceptron of scikit-learn is fitted to features of texels, drawn with rare materials favoured. Distances
-between typical texels set the novelty threshold. One block of ground in five is held out for accuracy; probabilities
-are calibrated on kinds of landscape (domains) left out of training in turn.
+A small multilayer perceptron of scikit-learn is fitted to features of texels of each kind of land (domain), drawn with
+rare materials favoured. Distances between typical texels set the novelty threshold. One block of ground in five is held
+out for accuracy; uncertainties are calibrated on domains that the other domains' networks map.
 """
 
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity.features import NEAR, features
-from thermorender.learned.emissivity.mapping import MOST_MATERIALS, EmissivityMap, outputs, posterior, to_grid
+from thermorender.learned.emissivity.land_cover import group_of, levelling, shares_of
+from thermorender.learned.emissivity.mapping import MOST_MATERIALS, EmissivityMap, Layers, averaged, to_grid
 from thermorender.progress import Progress
 
 # Side of the blocks of ground that are trained on or held out as a whole [texels]: neighbours look alike, so holding
 # out single texels would test nothing.
 BLOCK_TEXELS = 24
 _HELD_OUT_ONE_IN = 5
-_HIDDEN = (96, 64)
-_MOST_SAMPLES = 360_000
-_MOST_PER_IMAGE = 150_000
-_EPOCHS = 20
+# One hidden layer, regularised: a larger network learns its land by heart and errs more on others.
+_HIDDEN, _WEIGHT_DECAY = (32,), 1e-2
+_MOST_SAMPLES = 30_000
+_MOST_PER_IMAGE = 60_000
+# Texels of a step, and steps.
+_BATCH, _STEPS = 256, 2000
 _CENTRES = 160
-# Calibration: networks, texels each is fitted to and tested on, epochs.
-_FOLDS, _CALIBRATION_SAMPLES, _CALIBRATION_TESTS, _CALIBRATION_EPOCHS = 4, 90_000, 30_000, 8
-# Spread of a material's emissivity between samples.
-_SAMPLE_STD = 0.01
+# Texels of each domain that calibrate the uncertainties.
+_CALIBRATION_TESTS = 30_000
+# Least standard deviation of a mean, and that of a texel: samples of a material differ.
+_LEAST_STD = (0.002, 0.01)
+# The share of normal errors within one standard deviation.
+_WITHIN_ONE = 0.6827
+# Bias of a material that a network never saw.
+_NEVER = -60.0
 # Texels tested at a time.
 _AT_ONCE = 200_000
 # Novelty threshold: this quantile of the training texels' distances from their centres, times this margin.
@@ -51,12 +58,13 @@ class Labelled:
 
 def train(
     labelled: Iterable[Labelled], texel_m: float, name: str, emissivity: Callable[[str], float], augmentations: int = 0,
-    seed: int = 0, progress: Progress | None = None,
+    seed: int = 0, progress: Progress | None = None, own: float = 1.0,
 ) -> tuple[EmissivityMap, np.ndarray]:  # fmt: skip
     """Return (EmissivityMap, confusion (C, C) int) trained on labelled orthophotos at a ground sampling distance [m].
 
     `emissivity` maps a material's name to its band emissivity. `augmentations` versions of each orthophoto with random
-    exposure, white balance, contrast and saturation are added. Confusion has the true material in rows and the most
+    exposure, white balance, contrast and saturation are added. `own` is the part of a material's share in its group
+    that the networks decide; the land cover decides the rest. Confusion has the true material in rows and the most
     probable one in columns, over the held-out ground.
     """
     try:
@@ -81,29 +89,38 @@ def train(
             known.setdefault(item.domain or item.source, len(known))
             domains.append(np.full(held.size, known[item.domain or item.source]))
     described, truth, held_out = map(np.concatenate, zip(*parts, strict=True))
-    count = np.bincount(truth[~held_out], minlength=len(names))
-    _check_labels(sources, names, count)
-    values = np.array([emissivity(name) for name in names])
-    softening, prior = _calibration(described, truth, np.concatenate(domains), held_out, values, seed, report)
-    drawn = _drawn(truth, np.flatnonzero(~held_out), count, generator)
-    mean, scale = described[drawn].mean(axis=0), described[drawn].std(axis=0) + 1e-3
-    standard = (described[drawn] - mean) / scale
-    layers = _layers(standard, truth[drawn], len(names), seed, _EPOCHS, report)
-    centres, distance = _centres(standard[:, NEAR], seed)
+    domain = np.concatenate(domains)
+    _check_labels(sources, names, np.bincount(truth[~held_out], minlength=len(names)))
+    drawn = []
+    for number in range(len(known)):
+        allowed = np.flatnonzero(~held_out & (domain == number))
+        drawn.append(_drawn(truth, allowed, np.bincount(truth[allowed], minlength=len(names)), generator))
+    every = np.concatenate(drawn)
+    mean, scale = described[every].mean(axis=0), described[every].std(axis=0) + 1e-3
+    networks: list[Layers] = []
+    for number, texels in enumerate(drawn):
+        standard = (described[texels] - mean) / scale
+        networks.append(_network(standard, truth[texels], len(names), seed, report, (number, len(drawn))))
+    centres, distance = _centres(((described[every] - mean) / scale)[:, NEAR], seed)
+    groups, share = tuple(map(group_of, names)), shares_of(names)
     model = EmissivityMap(
-        name, tuple(names), float(texel_m), mean.astype(np.float32), scale.astype(np.float32),
-        layers=tuple((weight.astype(np.float32), bias.astype(np.float32)) for weight, bias in layers),
-        centres=centres.astype(np.float32),
-        threshold=float(_THRESHOLD_MARGIN * np.quantile(distance, _THRESHOLD_QUANTILE)), about={},
-        softening=softening, prior=prior,
+        name, tuple(names), float(texel_m), mean.astype(np.float32), scale.astype(np.float32), tuple(networks),
+        centres.astype(np.float32), float(_THRESHOLD_MARGIN * np.quantile(distance, _THRESHOLD_QUANTILE)), {},
+        groups, share, (float(own),) * len(names),
     )  # fmt: skip
+    values = np.array([emissivity(name) for name in names])
+    spread = fitted_spread(model, _left_out(model, described, truth, domain, held_out, generator), values)
+    if len(networks) == 1:
+        # Held-out blocks look like the training, so they cannot show that the map is surer than it says.
+        spread = max(spread[0], 1.0), max(spread[1], 1.0)
+    model = replace(model, spread=spread)
     confusion = _confusion(model, described[held_out], truth[held_out])
     accuracy = round(float(np.trace(confusion) / confusion.sum()), 4) if confusion.any() else None
     model.about.update(
         trained_on="; ".join(dict.fromkeys(sources)),
         split=f"one block of {BLOCK_TEXELS * texel_m:g} m in {_HELD_OUT_ONE_IN} held out",
         calibrated_on=f"{len(known)} kinds of land, each unseen" if len(known) > 1 else "held-out blocks",
-        augmentations=augmentations, seed=seed, texels=len(drawn), held_out_texels=int(held_out.sum()),
+        augmentations=augmentations, seed=seed, texels=len(every), held_out_texels=int(held_out.sum()),
         held_out_accuracy=accuracy,
     )  # fmt: skip
     untested = [name for name, row in zip(names, confusion, strict=True) if not row.any()]
@@ -139,104 +156,83 @@ def _check_labels(sources: Sequence[str], names: Sequence[str], count: np.ndarra
         )
 
 
-def _calibration(
-    described: np.ndarray, truth: np.ndarray, domain: np.ndarray, held_out: np.ndarray, emissivity: np.ndarray,
-    seed: int, report: Progress,
-) -> tuple[float, float]:  # fmt: skip
-    """Return (softening, prior) fitted on domains that a network did not see, all of equal weight.
+def _left_out(
+    model: EmissivityMap, described: np.ndarray, truth: np.ndarray, domain: np.ndarray, held_out: np.ndarray,
+    generator: np.random.Generator,
+) -> list[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
+    """Pairs (probabilities (N, C), true materials (N,)) of texels of each domain, by the networks of the others.
 
-    With one domain, it is fitted on the held-out blocks, which resemble the training.
+    With one domain, they are of the held-out blocks, which resemble the training.
     """
-    generator = np.random.Generator(np.random.Philox(seed))
-    domains = np.unique(domain)
-    folds = np.array_split(generator.permutation(domains), min(len(domains), _FOLDS))
-    if len(domains) == 1:
-        folds, domain = [np.array([1])], held_out.astype(np.int64)
-    found, truths = [], []
-    for number, fold in enumerate(folds):
-        tested = np.isin(domain, fold)
-        report("calibrating", number / len(folds))
-        if tested.all() or not tested.any():
-            continue
-        # Materials get numbers within this training; others have no score there.
-        inside = np.unique(truth[~tested])
-        if len(inside) < 2:
-            continue
-        count = np.bincount(truth[~tested], minlength=inside.max() + 1)
-        drawn = _drawn(truth, np.flatnonzero(~tested), count, generator, _CALIBRATION_SAMPLES)
-        mean, scale = described[drawn].mean(axis=0), described[drawn].std(axis=0) + 1e-3
-        own = np.searchsorted(inside, truth[drawn])
-        layers = _layers((described[drawn] - mean) / scale, own, len(inside), seed, _CALIBRATION_EPOCHS, _quiet)
-        test = generator.choice(np.flatnonzero(tested), min(_CALIBRATION_TESTS, int(tested.sum())), replace=False)
-        score = np.full((test.size, int(truth.max()) + 1), -np.inf, dtype=np.float32)
-        score[:, inside] = outputs(layers, (described[test] - mean) / scale)
-        found.append(score)
-        truths.append(truth[test])
-    return fitted_posterior(found, truths, emissivity) if found else (1.0, 0.0)
+    tests = []
+    for number in np.unique(domain):
+        alone = len(model.networks) == 1
+        here = np.flatnonzero(held_out if alone else domain == number)
+        here = generator.choice(here, min(_CALIBRATION_TESTS, here.size), replace=False)
+        others = model.networks if alone else [each for k, each in enumerate(model.networks) if k != number]
+        if here.size:
+            standard = (described[here] - model.mean) / model.scale
+            tests.append((averaged(others, standard) @ model.levelling, truth[here]))
+    return tests
 
 
 def _quiet(what: str, share: float) -> None:
     """Report nothing."""
 
 
-def fitted_posterior(
-    scores: Sequence[np.ndarray], truths: Sequence[np.ndarray], emissivity: np.ndarray
+def fitted_spread(
+    model: EmissivityMap, tests: Sequence[tuple[np.ndarray, np.ndarray]], emissivity: np.ndarray
 ) -> tuple[float, float]:
-    """Return (softening, prior) of the largest likelihood of the emissivity of labels (N,) by scores (N, C).
+    """Return the factors of `materials.mixture.Doubt` with which 68 % of the errors are within a standard deviation.
 
-    A texel's emissivity is normal with mean and standard deviation of the posterior over materials of `emissivity`
-    (C,). A score of minus infinity marks a material unknown to that domain's network. Softening is 1…20, prior
-    0.001…0.95; domains have equal weight.
+    `tests` are (probabilities (N, C), true materials (N,)); each counts the same. `emissivity` (C,) is the materials'.
+    The true mean of a texel is that of its material's group, with shares of the land cover, which no test can judge.
     """
-    from scipy.optimize import minimize
-
-    def loss(free: np.ndarray) -> float:
-        softening, prior = np.exp(free[0]), 1.0 / (1.0 + np.exp(-free[1]))
-        return emissivity_loss(scores, truths, emissivity, softening, prior)
-
-    bounds = [(0.0, np.log(20.0)), (np.log(0.001 / 0.999), np.log(0.95 / 0.05))]
-    found = minimize(loss, [np.log(2.0), 0.0], bounds=bounds, method="L-BFGS-B")
-    return float(np.exp(found.x[0])), float(1.0 / (1.0 + np.exp(-found.x[1])))
-
-
-def emissivity_loss(
-    scores: Sequence[np.ndarray], truths: Sequence[np.ndarray], emissivity: np.ndarray, softening: float, prior: float
-) -> float:
-    """Return the mean negative log-likelihood of the labels' emissivity, as in `fitted_posterior`."""
-    parts = []
-    for score, label in zip(scores, truths, strict=True):
-        probability = posterior(score.astype(np.float64), softening, prior)
-        mean = probability @ emissivity
-        variance = np.maximum(probability @ emissivity**2 - mean**2, 0.0) + _SAMPLE_STD**2
-        parts.append(0.5 * np.mean(np.log(variance) + (emissivity[label] - mean) ** 2 / variance))
-    return float(np.mean(parts))
+    group_mean = levelling(model.groups, model.share, (0.0,) * len(emissivity)) @ emissivity
+    exact = replace(model, spread=(1.0, 1.0), own=(1.0,) * len(emissivity))
+    ratios: tuple[list[float], list[float]] = ([], [])
+    for probability, label in tests:
+        mean, *deviations = exact.moments(probability, emissivity)
+        for found, truth, std, least in zip(ratios, (group_mean, emissivity), deviations, _LEAST_STD, strict=True):
+            ratio = np.abs(mean - truth[label]) / np.hypot(std, least)
+            found.append(float(np.quantile(ratio, _WITHIN_ONE)))
+    factors = [float(np.exp(np.mean(np.log(np.maximum(each, 1e-3))))) if each else 1.0 for each in ratios]
+    return factors[0], factors[1]
 
 
-def _layers(
-    standard: np.ndarray, truth: np.ndarray, count: int, seed: int, epochs: int, report: Progress
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """(weight, bias) layers of a network fitted to standardised features."""
+def _network(
+    standard: np.ndarray, truth: np.ndarray, count: int, seed: int, report: Progress, number: tuple[int, int]
+) -> Layers:
+    """(weight, bias) layers of a network fitted to standardised features; `number` is (its own, all)."""
     from sklearn.exceptions import ConvergenceWarning
     from sklearn.neural_network import MLPClassifier
 
-    report("fitting the network", 0.0)
+    inside, own = np.unique(truth, return_inverse=True)
+    epochs = max(1, round(_STEPS * _BATCH / len(own)))
     network = MLPClassifier(
-        _HIDDEN, alpha=1e-4, batch_size=256, learning_rate_init=2e-3, max_iter=1, warm_start=True, random_state=seed
-    )
+        _HIDDEN, alpha=_WEIGHT_DECAY, batch_size=min(_BATCH, len(own)), learning_rate_init=2e-3, max_iter=1,
+        warm_start=True, random_state=seed,
+    )  # fmt: skip
+    if len(inside) == 1:
+        # Nothing but this material was seen there.
+        only = np.full(count, _NEVER, np.float32)
+        only[inside[0]] = 0.0
+        return ((np.zeros((standard.shape[1], count), np.float32), only),)
     with warnings.catch_warnings():
         # The number of epochs is fixed, so this warning is expected.
         warnings.simplefilter("ignore", ConvergenceWarning)
         for epoch in range(epochs):
             # The rate falls by a cosine.
             network.set_params(learning_rate_init=2e-3 * 0.5 * (1.0 + np.cos(np.pi * epoch / epochs)))
-            network.fit(standard, truth)
-            report("fitting the network", (epoch + 1) / epochs)
-    layers = list(zip(network.coefs_, network.intercepts_, strict=True))
-    if count == 2:
+            network.fit(standard, own)
+            report("fitting the networks", (number[0] + (epoch + 1) / epochs) / number[1])
+    *first, (weight, bias) = zip(network.coefs_, network.intercepts_, strict=True)
+    if len(inside) == 2:
         # scikit-learn has one logistic output for two classes, which is a softmax over 0 and it.
-        weight, bias = layers[-1]
-        layers[-1] = (np.hstack([0.0 * weight, weight]), np.hstack([0.0 * bias, bias]))
-    return layers
+        weight, bias = np.hstack([0.0 * weight, weight]), np.hstack([0.0 * bias, bias])
+    wide, all_biases = np.zeros((len(weight), count)), np.full(count, _NEVER)
+    wide[:, inside], all_biases[inside] = weight, bias
+    return tuple((np.float32(w), np.float32(b)) for w, b in (*first, (wide, all_biases)))  # type: ignore[misc]
 
 
 def _centres(near: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,14 +1,16 @@
 """RGB → emissivity: the likely materials of each texel of an orthophoto, from its colour and texture.
 
-A small fully connected network scores each material. Probabilities are calibrated by a softening temperature (Guo et
-al. 2017, "On calibration of modern neural networks") and a uniform prior, both fitted on unseen landscapes. A texel's
-emissivity, from the material table, is the mean with these probabilities, its uncertainty the standard deviation.
-Confidence is the largest probability, or 0 for texels unlike the training data. Below a threshold, texels are *unknown*
-and get the scene's fallback material.
+A small fully connected network for each kind of land of its training scores the materials, and the networks'
+probabilities are averaged (Lakshminarayanan et al. 2017, "Simple and scalable predictive uncertainty estimation using
+deep ensembles"): on land unlike any of these, they err in different ways. Within a group of surfaces, shares of the
+land cover replace most of what the networks say (`land_cover`). A texel's emissivity, from the material table, is the
+mean with these probabilities. It has two uncertainties, of the group's mean and of the texel's own material
+(`materials.mixture.Doubt`). Confidence is the largest probability, or 0 for texels unlike the training data. Below a
+threshold, texels are *unknown* and get the scene's fallback material.
 """
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,6 +21,8 @@ import numpy as np
 from thermorender import files, formats
 from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity.features import HALO_TEXELS, NAMES, NEAR, features
+from thermorender.learned.emissivity.land_cover import levelling, mean_std_of
+from thermorender.materials.mixture import Doubt
 
 SHIPPED = {"procedural": Path(__file__).with_name("procedural.npz")}
 # Materials are bytes in rasters, where 0 means no picture and 255 an unknown material.
@@ -29,9 +33,13 @@ COARSEST_RATIO = 2.5
 _PROJECTION = 0.005
 _TILE_TEXELS = 512  # on the map's grid
 _CHUNK_TEXELS = 8192
-_FORMAT = 3
+_FORMAT = 4
 # Probability of any material before others are excluded.
 _LEAST = 1e-12
+
+
+# A network: (weight, bias) layers of rectified linear units, softmax at the end.
+Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,14 +52,62 @@ class EmissivityMap:
     # mean, scale: (F,) float32 mean and scale that standardise the features
     mean: np.ndarray
     scale: np.ndarray
-    # The network's layers: rectified linear units, softmax at the end
-    layers: tuple[tuple[np.ndarray, np.ndarray], ...]
+    networks: tuple[Layers, ...]  # Whose probabilities of the C materials are averaged
     centres: np.ndarray  # (K, len(NEAR) typical standardised features of the training texels' near surroundings
     threshold: float  # Distance from the nearest centre above which a texel is unlike the training data
     # Its training: scenes, seeds, split, accuracy on held-out texels, and what was not tested
     about: dict[str, Any]
-    softening: float = 1.0  # Temperature that the network's scores are divided by, 1 or more in general
-    prior: float = 0.0  # Share of the uniform prior in the probabilities, 0…1
+    groups: tuple[str, ...] = ()  # Group of each material, by default itself
+    share: tuple[float, ...] = ()  # Share of each material in its group, by the land cover
+    own: tuple[float, ...] = ()  # Part of each material's share in its group that the networks decide, by default all
+    spread: tuple[float, float] = (1.0, 1.0)  # Factors of `materials.mixture.Doubt`
+    outputs: tuple[int, ...] = ()  # The networks' output of each material, by default all in their order
+
+    def __post_init__(self) -> None:
+        """Make each material a group of its own, which the networks decide, where nothing else is given."""
+        ones = (1.0,) * len(self.materials)
+        numbers = tuple(range(len(self.materials)))
+        for name, default in (("groups", self.materials), ("share", ones), ("own", ones), ("outputs", numbers)):
+            object.__setattr__(self, name, getattr(self, name) or default)
+
+    @cached_property
+    def levelling(self) -> np.ndarray:
+        """The matrix (C, C) from probabilities of the networks to those with shares of the land cover."""
+        return levelling(self.groups, self.share, self.own)
+
+    def doubt(self, materials: Sequence[str]) -> Doubt:
+        """Return the Doubt on materials by name: the map's own, and others that are groups of their own."""
+        number = {name: k for k, name in enumerate(self.materials)}
+        return Doubt(
+            tuple(self.groups[number[name]] if name in number else name for name in materials),
+            tuple(self.mean_std[number[name]] if name in number else 0.0 for name in materials), self.spread,
+        )  # fmt: skip
+
+    @cached_property
+    def mean_std(self) -> tuple[float, ...]:
+        """The uncertainty of the mean of each material's group; none where labels decide which material it is."""
+        return tuple((1.0 - own) * mean_std_of(group) for group, own in zip(self.groups, self.own, strict=True))
+
+    def moments(self, probability: np.ndarray, emissivity: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return (mean, standard deviation of a mean over many such texels, of one texel) of emissivities, (…) each.
+
+        `probability` (…, C) is in any unit and `emissivity` (C,) the materials'. See `materials.mixture.Doubt`.
+        """
+        total = probability.sum(axis=-1, keepdims=True, dtype=np.float32)
+        share = probability / np.maximum(total, np.float32(1e-12))
+        value, mean = np.asarray(emissivity, np.float32), share @ np.float32(emissivity)
+        between = np.zeros_like(mean)
+        groups = np.array(self.groups)
+        for group in dict.fromkeys(self.groups):
+            inside = groups == group
+            part = share[..., inside].sum(axis=-1)
+            own = share[..., inside] @ value[inside] / np.maximum(part, np.float32(1e-12))
+            between += part * (own - mean) ** 2
+        within = np.maximum(share @ value**2 - mean**2, 0.0)
+        unsure = share @ np.array(self.mean_std, np.float32)
+        deviations = (np.hypot(factor * np.sqrt(each), unsure)
+                      for factor, each in zip(self.spread, (between, within), strict=True))  # fmt: skip
+        return mean, *deviations
 
     def probabilities(self, described: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (probabilities (N, C) float32, novelty (N,) float32) of features, (N, F).
@@ -59,7 +115,9 @@ class EmissivityMap:
         Novelty is the distance from the nearest centre over `threshold`; above 1, a texel is unlike the training data.
         """
         standard = (described - self.mean) / self.scale
-        value = posterior(outputs(self.layers, standard), self.softening, self.prior)
+        # On condition that materials which were left out do not occur.
+        value = averaged(self.networks, standard)[:, self.outputs] + np.float32(_LEAST)
+        value = value / value.sum(axis=-1, keepdims=True) @ self.levelling
         near = standard[:, NEAR]
         squared = (self.centres**2).sum(axis=-1) - 2.0 * (near @ self.centres.T)
         distance = np.sqrt(np.maximum(squared.min(axis=-1) + (near**2).sum(axis=-1), 0.0))
@@ -67,29 +125,61 @@ class EmissivityMap:
 
     def without(self, materials: Sequence[str]) -> "EmissivityMap":
         """Return this map for land where some of its materials are known not to occur."""
-        for material in materials:
-            if material not in self.materials:
-                raise ThermorenderError(
-                    f"emissivity map {self.name!r} does not have the material {material!r} to leave out; it has "
-                    f"{', '.join(self.materials)}"
-                )
+        self._require(materials, "to leave out")
         kept = [k for k, material in enumerate(self.materials) if material not in materials]
         if len(kept) < 2:
             raise ThermorenderError(
                 f"emissivity map {self.name!r} has {len(kept)} materials left without {', '.join(materials)}; "
                 "keep two or more"
             )
-        # The softmax over the remaining outputs is the probability on condition that the others do not occur.
-        weight, bias = self.layers[-1]
-        layers = (*self.layers[:-1], (weight[:, kept], bias[kept]))
-        return replace(self, materials=tuple(self.materials[k] for k in kept), layers=layers)
+
+        def of_kept(values: Sequence[Any]) -> tuple[Any, ...]:
+            return tuple(values[k] for k in kept)
+
+        return replace(
+            self, materials=of_kept(self.materials), groups=of_kept(self.groups), share=of_kept(self.share),
+            own=of_kept(self.own), outputs=of_kept(self.outputs),
+        )  # fmt: skip
+
+    def with_shares(self, stated: Mapping[str, float]) -> "EmissivityMap":
+        """Return this map for land where materials have stated shares of their groups; others share the rest."""
+        self._require(stated, "to give a share")
+        share = np.array(self.share)
+        for group in {self.groups[self.materials.index(name)] for name in stated}:
+            inside = [k for k, own in enumerate(self.groups) if own == group]
+            given = {k: stated[self.materials[k]] for k in inside if self.materials[k] in stated}
+            if all(self.own[k] == 1.0 for k in inside):
+                raise ThermorenderError(
+                    f"labels decide which {group} it is in emissivity map {self.name!r}; leave out the shares of "
+                    f"{', '.join(self.materials[k] for k in given)}"
+                )
+            rest, total = [k for k in inside if k not in given], sum(given.values())
+            if total > 1.0 + 1e-9 or (not rest and abs(total - 1.0) > 1e-9):
+                names = ", ".join(f"{self.materials[k]}={value:g}" for k, value in given.items())
+                raise ThermorenderError(
+                    f"the stated shares {names} of the group {group!r} sum to {total:g}; give shares of a group that "
+                    f"sum to {'1' if not rest else 'at most 1'}"
+                )
+            left = share[rest].sum()
+            for k in inside:
+                share[k] = given[k] if k in given else (1.0 - total) * share[k] / max(left, 1e-12)
+        return replace(self, share=tuple(share.tolist()))
+
+    def _require(self, materials: Iterable[str], why: str) -> None:
+        """Raise ThermorenderError for materials that the map does not have."""
+        for material in materials:
+            if material not in self.materials:
+                raise ThermorenderError(
+                    f"emissivity map {self.name!r} does not have the material {material!r} {why}; it has "
+                    f"{', '.join(self.materials)}"
+                )
 
     def __str__(self) -> str:
-        size = " → ".join(str(len(bias)) for _, bias in self.layers)
+        size = " → ".join(str(len(bias)) for _, bias in self.networks[0])
         lines = [
             f"{self.name}: RGB → {len(self.materials)} materials at {self.texel_m:g} m",
             f"  materials     {', '.join(self.materials)}",
-            f"  network       {len(self.mean)} features → {size}",
+            f"  networks      {len(self.networks)} of {len(self.mean)} features → {size}",
             *(f"  {key:13s} {value}" for key, value in self.about.items()),
         ]
         return "\n".join(lines)
@@ -119,12 +209,6 @@ class Mapped:
         found[..., self.probability.shape[2] :] = 0.0
         return found / found.sum(axis=-1, keepdims=True)
 
-    def moments(self, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return mean and standard deviation, each (h, w), of a property whose value (C,) each material has."""
-        share = self.probability / np.maximum(self.probability.sum(axis=-1, keepdims=True, dtype=np.float32), 1.0)
-        mean = share @ value
-        return mean, np.sqrt(np.maximum(share @ value**2 - mean**2, 0.0))
-
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
@@ -137,25 +221,23 @@ class Evidence:
     factor: np.ndarray
 
 
-def hidden(layers: Sequence[tuple[np.ndarray, np.ndarray]], standard: np.ndarray) -> np.ndarray:
+def hidden(layers: Layers, standard: np.ndarray) -> np.ndarray:
     """Return the values before a network's last layer, (N, H), of standardised features (N, F)."""
     for weight, bias in layers[:-1]:
         standard = np.maximum(standard @ weight + bias, 0.0)
     return standard
 
 
-def outputs(layers: Sequence[tuple[np.ndarray, np.ndarray]], standard: np.ndarray) -> np.ndarray:
-    """Return a network's outputs before the softmax, (N, C), of standardised features (N, F)."""
-    weight, bias = layers[-1]
-    return hidden(layers, standard) @ weight + bias
+def softmax(score: np.ndarray) -> np.ndarray:
+    """Return the probabilities, (N, C), of scores (N, C)."""
+    value = np.exp(score - score.max(axis=-1, keepdims=True))
+    return np.asarray(value / value.sum(axis=-1, keepdims=True))
 
 
-def posterior(score: np.ndarray, softening: float, prior: float) -> np.ndarray:
-    """Return the probabilities, (N, C), of a network's scores, (N, C): softmax(score / softening), with a prior."""
-    value = score / score.dtype.type(softening)
-    value = np.exp(value - value.max(axis=-1, keepdims=True))
-    value *= score.dtype.type(1.0 - prior) / value.sum(axis=-1, keepdims=True)
-    return value + score.dtype.type(prior / value.shape[-1])
+def averaged(networks: Sequence[Layers], standard: np.ndarray) -> np.ndarray:
+    """Return the mean probabilities of networks, (N, C), of standardised features (N, F)."""
+    total = sum(softmax(hidden(layers, standard) @ layers[-1][0] + layers[-1][1]) for layers in networks)
+    return np.asarray(total / np.float32(len(networks)))
 
 
 def map_materials(
@@ -266,13 +348,15 @@ def save_map(model: EmissivityMap, path: files.PathLike) -> None:
     """Write an EmissivityMap as arrays and a JSON text, .npz."""
     head = {
         "format": _FORMAT, "name": model.name, "materials": model.materials, "texel_m": model.texel_m,
-        "features": NAMES, "threshold": model.threshold,
-        "softening": model.softening, "prior": model.prior, "layers": len(model.layers), "about": model.about,
+        "features": NAMES, "threshold": model.threshold, "groups": model.groups, "share": model.share,
+        "own": model.own, "spread": model.spread, "outputs": model.outputs,
+        "layers": [len(layers) for layers in model.networks], "about": model.about,
     }  # fmt: skip
     arrays: dict[str, Any] = {"head": np.array(json.dumps(head))}
     arrays |= {"mean": model.mean, "scale": model.scale, "centres": model.centres}
-    for number, (weight, bias) in enumerate(model.layers):
-        arrays[f"weight{number}"], arrays[f"bias{number}"] = weight, bias
+    for network, layers in enumerate(model.networks):
+        for number, (weight, bias) in enumerate(layers):
+            arrays[f"weight{network}.{number}"], arrays[f"bias{network}.{number}"] = weight, bias
     with files.atomic(path) as part, open(part, "wb") as file:
         np.savez_compressed(file, **arrays)
 
@@ -290,11 +374,16 @@ def load_map(name: files.PathLike) -> EmissivityMap:
             head = formats.finite_json(str(file["head"]))
             if (head["format"], tuple(head["features"])) != (_FORMAT, NAMES):
                 raise ValueError("it was made by another version or for other features")
-            layers = tuple((_floats(file[f"weight{n}"]), _floats(file[f"bias{n}"])) for n in range(head["layers"]))
+            networks = tuple(
+                tuple((_floats(file[f"weight{k}.{n}"]), _floats(file[f"bias{k}.{n}"])) for n in range(count))
+                for k, count in enumerate(head["layers"])
+            )
             model = EmissivityMap(
                 str(head["name"]), tuple(map(str, head["materials"])), float(head["texel_m"]), _floats(file["mean"]),
-                _floats(file["scale"]), layers, _floats(file["centres"]), float(head["threshold"]),
-                dict(head["about"]), float(head["softening"]), float(head["prior"]),
+                _floats(file["scale"]), networks, _floats(file["centres"]), float(head["threshold"]),
+                dict(head["about"]), tuple(map(str, head["groups"])), tuple(map(float, head["share"])),
+                tuple(map(float, head["own"])), (float(head["spread"][0]), float(head["spread"][1])),
+                tuple(map(int, head["outputs"])),
             )  # fmt: skip
         _check(model)
     # A damaged file can raise many kinds of errors in zipfile, zlib, json or NumPy.
@@ -318,10 +407,15 @@ def _check(model: EmissivityMap) -> None:
     """Raise ValueError if arrays do not fit each other or there are too many materials."""
     if not 2 <= len(model.materials) <= MOST_MATERIALS:
         raise ValueError(f"it has {len(model.materials)} materials, not 2…{MOST_MATERIALS}")
-    widths = [len(NAMES), *(len(bias) for _, bias in model.layers)]
-    shapes = [weight.shape for weight, _ in model.layers]
-    fits = shapes == list(zip(widths[:-1], widths[1:], strict=True)) and widths[-1] == len(model.materials)
+    fits = bool(model.networks)
+    for layers in model.networks:
+        widths = [len(NAMES), *(len(bias) for _, bias in layers)]
+        shapes = [weight.shape for weight, _ in layers]
+        fits &= shapes == list(zip(widths[:-1], widths[1:], strict=True))
+        fits &= bool(layers) and min(model.outputs) >= 0 and max(model.outputs) < widths[-1]
     fits &= model.mean.shape == model.scale.shape == (len(NAMES),) and model.centres.shape[1:] == (len(NEAR),)
-    fits &= model.softening > 0.0 and 0.0 <= model.prior <= 1.0
+    of_materials = (model.groups, model.share, model.own, model.outputs)
+    fits &= all(len(each) == len(model.materials) for each in of_materials)
+    fits &= all(0.0 <= value <= 1.0 for value in (*model.share, *model.own)) and min(model.spread) > 0.0
     if not (fits and (model.scale > 0.0).all() and model.texel_m > 0.0 and model.threshold > 0.0):
         raise ValueError("its arrays do not fit each other")

@@ -36,7 +36,7 @@ from thermorender.render.plan import Plan
 from thermorender.render.reflection import mirrors
 from thermorender.render.sobol import sobol
 from thermorender.render.spectrum import REFERENCE_K
-from thermorender.render.truth import truth
+from thermorender.render.truth import EMISSIVITY_STDS, truth
 
 # Pixels at which the uncertainty of the air's absorption is taken; targets behind air that passes less than this share
 # are as warm as the scene in the mean.
@@ -73,8 +73,9 @@ def budget_mk(
     sampling: SampledImage,
 ) -> dict[str, float]:  # fmt: skip
     """Return {cause: estimated root mean square error [mK]} of a frame over the pixels that show a surface. "image" is
-    the total over all pixels; sky and surroundings add sampling only. "emissivity", of a learned map, and "gases", of
-    the air's absorption, are not in the total: they are errors of what is declared, not of the rendering."""
+    the total over all pixels; sky and surroundings add sampling only. "emissivity" and "emissivity_mean", of a learned
+    map, and "gases", of the air's absorption, are not in the total: they are errors of what is declared, not of the
+    rendering."""
     errors, shown = sampling_error(baked.plan, tracer, radiance, sampling) / baked.plan.radiance_per_mk, sampling.shown
     parts = _everywhere(baked)
     light, mirrored = _light(baked, tracer.rays, pose, states, _PIXELS)
@@ -89,7 +90,8 @@ def budget_mk(
     found |= _gases(baked, tracer.rays, pose, states, radiance, shown)
     if any(isinstance(material, Mixture) for material in baked.scene.materials):
         seen = truth(baked, tracer.rays, pose, states)
-        found["emissivity"] = _rms(emissivity_mk(baked, seen))
+        effect = emissivity_mk(baked, seen)
+        found |= {name.removesuffix("_std"): _rms(seen[name] * effect) for name in EMISSIVITY_STDS if name in seen}
     return found
 
 
@@ -147,8 +149,8 @@ def _gases(
 
 
 def emissivity_mk(baked: LoadedLight, images: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
-    """Return the standard deviation of each pixel due to a learned emissivity, (H, W) [mK at 300 K]; NaN where none. It
-    is an upper estimate: the surface reflects the open sky, or sky and sun at normal incidence, without air before it.
+    """Return the change of each pixel by an emissivity of 1 more, (H, W) [mK at 300 K]; NaN where no surface is. It is
+    an upper estimate: the surface reflects the open sky, or sky and sun at normal incidence, without air before it.
     `images` are those of `Frame.truth`."""
     scene, band = baked.scene, baked.scene.camera.band_um
     known = np.isfinite(images["kinetic_temperature"])
@@ -159,7 +161,7 @@ def emissivity_mk(baked: LoadedLight, images: Mapping[str, NDArray[Any]]) -> NDA
     if cosine is not None:
         lit = baked.plan.spectrum.points.sunlight(scene.altitude_m, cosine).sum() / np.pi
     contrast = np.maximum(np.abs(contrast), np.abs(contrast - lit))
-    return np.asarray(images["emissivity_std"] * contrast / baked.plan.radiance_per_mk, dtype=np.float64)
+    return np.asarray(contrast / baked.plan.radiance_per_mk, dtype=np.float64)
 
 
 def _everywhere(baked: LoadedLight) -> dict[str, float]:
