@@ -101,8 +101,8 @@ def _scored(dataset, own, methods, seed):
     for each in range(max(fold) + 1):
         test = [k for k in range(len(entries)) if fold[k] == each]
         split = dataset.split({entry.key: "test" if fold[k] == each else "train" for k, entry in enumerate(entries)})
-        maps = {label: train_map("map", METHODS[label][0], split, METHODS[label][1], seed, parts=("train",))
-                for label in methods}  # fmt: skip
+        maps = {label: train_map("map", METHODS[label][0], split, METHODS[label][1], seed, parts=("train",),
+                                 judged=False) for label in methods}  # fmt: skip
         mean_k = read_training_part(split.of("train"), levels).mean_k
         pairs = {k: split.pair(entries[k]) for k in test}
         if maps and len(entries) <= _MOST_SEARCHED:
