@@ -126,6 +126,8 @@ def test_level_and_spread_of_the_training_are_recorded(tmp_path):
     colour = np.concatenate([lab(each.visible[8::4, ::4]) for each in shown]).reshape(-1, 3).astype(np.float64)
     level = model.level
     assert (level.kelvin, level.kelvin_spread) == pytest.approx((kelvin.mean(), kelvin.std()), rel=1e-6)
+    within = [brightness_temperature(each.reference[8::4, ::4], *SCALE.band_um).var() for each in shown]
+    assert level.kelvin_within == pytest.approx(math.sqrt(np.mean(within)), rel=1e-6)
     assert level.colour == pytest.approx(colour.mean(axis=0), rel=1e-6)
     assert level.colour_spread == pytest.approx(colour.std(axis=0), rel=1e-6)
     assert level.air_k == pytest.approx(281.0)

@@ -1,6 +1,7 @@
 """Pictures and videos translated by learned maps: counts, file types, damaged files, continued runs."""
 
 import json
+import math
 import os
 import sys
 from dataclasses import replace
@@ -371,7 +372,7 @@ def test_surfaces_of_a_scene_are_not_colder_than_their_sky():
 
 
 def test_distance_of_the_colours_from_training_is_stated(tmp_path):
-    level = TrainingLevel(290.0, 5.0, 285.0, (50.0, 0.0, 0.0), (10.0, 5.0, 5.0))
+    level = TrainingLevel(290.0, 5.0, 1.5, 285.0, (50.0, 0.0, 0.0), (10.0, 5.0, 5.0))
     # L of this grey is 53.6 and of black 0, and both have a = b = 0.
     for name, value in (("a", 128), ("b", 0)):
         write(tmp_path / f"{name}.png", np.full((6, 6, 3), value, np.uint8))
@@ -387,7 +388,7 @@ def test_distance_of_the_colours_from_training_is_stated(tmp_path):
 
 # --- anchors ----------------------------------------------------------------------------------------------------
 
-LEVEL = TrainingLevel(290.0, 5.0, 285.0, (50.0, 0.0, 0.0), (10.0, 5.0, 5.0))
+LEVEL = TrainingLevel(290.0, 5.0, 1.5, 285.0, (50.0, 0.0, 0.0), (10.0, 5.0, 5.0))
 
 
 def anchored(call, folder, option, *more, status=0):
@@ -402,21 +403,39 @@ def anchored(call, folder, option, *more, status=0):
 
 
 @pytest.mark.parametrize("option", ["air=280.5", "air=280.5K"])
-def test_anchor_to_the_air_moves_the_map_by_its_difference_from_the_air_of_training(tmp_path, call, option):
+def test_anchor_to_the_air_gives_the_ground_the_distance_from_it_that_it_had_in_training(tmp_path, call, option):
+    """5 K above the air, and a contrast that explains a third of the variance within a training picture."""
     plain, found, output, _ = anchored(call, tmp_path, option)
-    assert np.abs(found - (plain - 4.5)).max() <= 0.04
-    assert "anchor: temperatures are 1.00 times those of the map -4.5 K" in output
+    span = math.sqrt(1 / 3) * 1.5 / plain.std()
+    assert found.mean() == pytest.approx(285.5, abs=0.03) and 0.2 < span < 0.9
+    assert np.abs(found - 285.5 - span * (plain - plain.mean())).max() <= 0.04
+    offset = 285.5 - span * plain.mean()
+    assert f"anchor: temperatures are {span:.2f} times those of the map {offset:+.1f} K" in output
     record = json.loads((tmp_path / "anchored" / "translate.json").read_text())
-    assert record["anchor"] == {"offset_k": -4.5, "span": 1.0}
+    assert record["anchor"] == pytest.approx({"offset_k": offset, "span": span}, rel=1e-3)
     # The 8-bit picture has the map's range from black to white, which is moved too.
-    assert np.abs(shown(tmp_path / "plain" / "a.png").astype(int) - shown(tmp_path / "anchored" / "a.png")).max() <= 1
+    assert np.abs(shown(tmp_path / "plain" / "a.png").astype(int) - shown(tmp_path / "anchored" / "a.png")).max() <= 3
 
 
-def test_one_known_temperature_sets_the_level(tmp_path, call):
+def test_anchor_does_not_widen_the_span_and_is_one_for_all_pictures(tmp_path):
+    level = replace(LEVEL, kelvin_within=50.0)
+    for seed in (0, 1):
+        write(tmp_path / f"{seed}.png", photograph(seed=seed))
+    exact = [brightness_temperature(ONE.limited(ONE.radiance(Inputs(photograph(seed=seed)))), 7.5, 13.5).mean()
+             for seed in (0, 1)]  # fmt: skip
+    found = anchor_of("air=280.5", replace(ONE, level=level), [tmp_path])
+    assert found.span == 1.0 and found.offset_k == pytest.approx(285.5 - np.mean(exact), abs=0.01)
+
+
+@pytest.mark.parametrize("level", [LEVEL, None])
+def test_one_known_temperature_sets_the_level(tmp_path, level):
+    """Where the contrast of the training is unknown, the map's stays."""
+    path = write(tmp_path / "a.png", photograph())
     (tmp_path / "known.csv").write_text("column,row,kelvin\n7,5,301.5\n")
-    plain, found, *_ = anchored(call, tmp_path, str(tmp_path / "known.csv"))
-    assert found[5, 7] == pytest.approx(301.5, abs=0.03)
-    assert np.abs(found - found[5, 7] - (plain - plain[5, 7])).max() <= 0.05
+    exact = brightness_temperature(ONE.limited(ONE.radiance(Inputs(photograph()))), 7.5, 13.5)
+    found = anchor_of(str(tmp_path / "known.csv"), replace(ONE, level=level), [path])
+    assert found.kelvin(exact[5, 7]) == pytest.approx(301.5, abs=0.021)
+    assert found.span == pytest.approx(1.0 if level is None else math.sqrt(1 / 3) * 1.5 / exact.std(), rel=1e-3)
 
 
 def test_several_known_temperatures_set_level_and_span(tmp_path, call):
@@ -433,11 +452,11 @@ def test_several_known_temperatures_set_level_and_span(tmp_path, call):
 def test_many_known_temperatures_outweigh_the_prior_and_opposite_ones_leave_a_constant():
     rng = np.random.default_rng(0)
     mapped = rng.normal(290.0, 3.0, 4000)
-    many = anchored_to_known(mapped, 20.0 + 0.9 * mapped + rng.normal(0.0, 1.0, 4000), 3.0)
+    many = anchored_to_known(ONE, 20.0 + 0.9 * mapped + rng.normal(0.0, 1.0, 4000), mapped, 3.0)
     assert many.span == pytest.approx(0.9, abs=0.01)
-    assert anchored_to_known(mapped[:3], 600.0 - mapped[:3], 3.0) == MapAnchor(600.0 - mapped[:3].mean(), 0.0)
+    assert anchored_to_known(ONE, 600.0 - mapped[:3], mapped[:3], 3.0) == MapAnchor(600.0 - mapped[:3].mean(), 0.0)
     # A picture of one temperature has no span, and not a number that is not finite.
-    assert anchored_to_known(np.full(2, 290.0), np.array([280.0, 290.0]), 0.0) == MapAnchor(285.0, 0.0)
+    assert anchored_to_known(ONE, np.array([280.0, 290.0]), np.full(2, 290.0), 0.0) == MapAnchor(285.0, 0.0)
 
 
 def test_known_temperatures_name_their_picture_where_there_are_several(tmp_path):

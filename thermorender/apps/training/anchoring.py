@@ -1,8 +1,8 @@
 """The MapAnchor that an option states: `air=KELVIN`, or a CSV of known temperatures of pixels.
 
 Columns of the CSV are `column`, `row`, `kelvin` and, with several pictures, `picture`, a file's name. Pixels count from
-0 at the upper left, and temperatures are apparent ones, such as of water or a matt marker. All known temperatures give
-one MapAnchor for all pictures, so these should be of one hour and weather.
+0 at the upper left, and temperatures are apparent ones, such as of water or a matt marker. One MapAnchor holds for all
+pictures, so these should be of one hour and weather, and without sky. Of a video the first frame is meant.
 """
 
 from collections.abc import Sequence
@@ -20,6 +20,8 @@ from thermorender.trajectory.tables import rows_of
 from thermorender.units import kelvin
 
 _COLUMNS = ("column", "row", "kelvin")
+# Most pictures that the level of a map is taken from, evenly spaced.
+_MOST = 20
 _WANTED = "give air=KELVIN, such as air=288.2, or a .csv with the columns column, row, kelvin"
 
 
@@ -33,31 +35,49 @@ def anchor_of(
             air_k = float(value.strip().removesuffix("K"))
         except ValueError:
             raise ThermorenderError(f"anchor={text!r}: {value!r} is not a number; {_WANTED}") from None
-        return anchored_to_air(model, kelvin(f"anchor={text!r}: air", air_k))
+        air_k = kelvin(f"anchor={text!r}: air", air_k)
+        # Refused before pictures are read.
+        anchored_to_air(model, air_k, air_k, 0.0)
+        sources = sources_of(paths)
+        some = [sources[k] for k in np.unique(np.linspace(0, len(sources) - 1, min(_MOST, len(sources))).astype(int))]
+        maps = [_mapped(each, model, texel_m) for each in some]
+        return anchored_to_air(model, air_k, float(np.concatenate([each[each > 0.0] for each in maps]).mean()),
+                               _spread(maps))  # fmt: skip
     if not text.endswith(".csv"):
         raise ThermorenderError(f"anchor={text!r} is not known; {_WANTED}")
     return _known_anchor(Path(text), model, sources_of(paths), texel_m)
 
 
 def _known_anchor(path: Path, model: TemperatureMap, sources: Sequence[Path], texel_m: float | None) -> MapAnchor:
-    """The MapAnchor of a CSV's known temperatures; of a video the first frame is meant."""
-    how, mapped, known, values = Translation(model, texel_m), [], [], []
+    """The MapAnchor of a CSV's known temperatures."""
+    mapped, known, maps = [], [], []
     for source, rows in _by_picture(path, sources).items():
-        picture, opaque = _first_frame(source) if source.suffix.lower() in VIDEOS else read_picture(source)
-        counts, _ = how.translated(picture, opaque)
+        found = _mapped(source, model, texel_m)
         for where, (column, row, value) in rows:
-            height, width = counts.shape
+            height, width = found.shape
             if not (0 <= column < width and 0 <= row < height):
                 raise ThermorenderError(
                     f"{where}: column={column}, row={row} is outside of {source.name}; give 0…{width - 1} and "
                     f"0…{height - 1}"
                 )
-            if not counts[row, column]:
+            if not found[row, column]:
                 raise ThermorenderError(f"{where}: the map has no temperature there; take another pixel")
-            mapped.append(counts[row, column] * TLINEAR_STEP_K)
+            mapped.append(found[row, column])
             known.append(value)
-        values.append(counts[counts > 0] * TLINEAR_STEP_K)
-    return anchored_to_known(np.array(mapped), np.array(known), float(np.concatenate(values).std()))
+        maps.append(found)
+    return anchored_to_known(model, np.array(known), np.array(mapped), _spread(maps))
+
+
+def _mapped(source: Path, model: TemperatureMap, texel_m: float | None) -> np.ndarray:
+    """Temperatures of a picture by a map, (h, w) float64 [K]; 0 where there is none."""
+    picture, opaque = _first_frame(source) if source.suffix.lower() in VIDEOS else read_picture(source)
+    counts, _ = Translation(model, texel_m).translated(picture, opaque)
+    return counts * TLINEAR_STEP_K
+
+
+def _spread(maps: Sequence[np.ndarray]) -> float:
+    """Root mean square of the standard deviations within pictures' temperatures, each (h, w) [K]."""
+    return float(np.sqrt(np.mean([found[found > 0.0].var() if found.any() else 0.0 for found in maps])))
 
 
 def _by_picture(path: Path, sources: Sequence[Path]) -> dict[Path, list[tuple[str, tuple[int, int, float]]]]:
