@@ -283,7 +283,8 @@ class TemperatureMap:
         lines = [
             f"{self.name}: {self.method} → apparent temperature, {self.band_um[0]:g}–{self.band_um[1]:g} µm",
             f"  range         {low:.1f}…{high:.1f} °C for intensity 0…1",
-            f"  texel         {_metres(self.texel_m)}{f', trained at {trained}' if trained else ''}",
+            f"  texel         {_metres(self.texel_m)}"
+            + (f", trained at {trained}" if trained else ": pictures are not resampled"),
             f"  needs         {', '.join(_WORDS[name] for name in self.needs) or 'colour only'}",
             f"  source        {self.source}",
         ]

@@ -144,6 +144,20 @@ def test_level_and_spread_of_the_training_are_recorded(tmp_path):
     assert train_map("m", "correlation-1to1", dataset.having(some), judged=False).level.air_k is None
 
 
+@pytest.mark.parametrize("unknown", [1, 4])
+@pytest.mark.parametrize("method", ["correlation-9to1", "trees", "palette"])
+def test_an_unknown_ground_sampling_distance_stays_unknown(tmp_path, method, unknown):
+    """One picture without it is enough: the map resamples nothing, and says so."""
+    dataset = write(tmp_path / "d")
+    some = [replace(each, texel_m=each.texel_m if number >= unknown else None)
+            for number, each in enumerate(dataset.entries)]  # fmt: skip
+    model = train_map("m", method, dataset.having(some), judged=False)
+    assert model.texel_m is None and model.texel_range_m is None
+    assert "texel         unknown size: pictures are not resampled" in str(model)
+    fine, coarse = (model.radiance(Inputs(colours(9), texel_m)) for texel_m in (0.05, 5.0))
+    assert np.array_equal(fine, coarse) and model.texel_warning(0.05) is None
+
+
 def test_saturated_pixels_are_excluded(tmp_path):
     """For a known camera, at either end of its counts; for an unknown one all values count."""
     top = 2**14 - 1

@@ -170,10 +170,10 @@ def _library(method_name: str) -> dict[str, str | None]:
 
 
 def _sampling(entries: Sequence[Entry]) -> tuple[float | None, tuple[float, float] | None]:
-    """(median, (least, most)) ground sampling distance of entries [m]; None where no entry has one."""
-    known = np.array([entry.texel_m for entry in entries if entry.texel_m])
-    if not known.size:
+    """(median, (least, most)) ground sampling distance of entries [m]; None where one has none."""
+    if not all(entry.texel_m for entry in entries):
         return None, None
+    known = np.array([entry.texel_m for entry in entries])
     return float(np.exp(np.median(np.log(known)))), (float(known.min()), float(known.max()))
 
 
