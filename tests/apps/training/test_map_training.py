@@ -446,6 +446,9 @@ def test_shipped_maps_record_their_training(name):
     assert model.name == name and model.source.endswith("rendered from procedural scenes")
     assert model.about["dataset"]["origin"] == "rendered" and model.about["dataset"]["licence"] == "MIT"
     assert model.about["pairs"] == {"train": 1620, "validation": 162} and model.about["seed"] == 0
+    # Ground over a year and all hours, on the mean about as warm as the air.
+    assert abs(model.level.kelvin - model.level.air_k) < 2.0 < model.level.kelvin_within < model.level.kelvin_spread
+    assert "60 training worlds" in model.about["level_of"]
     # Four seasons, day and night.
     seen = model.about["conditions"]
     assert seen["air_k"][0] < 260.0 and seen["air_k"][1] > 300.0 and seen["day"][1] - seen["day"][0] > 350

@@ -381,8 +381,8 @@ def test_distance_of_the_colours_from_training_is_stated(tmp_path):
     assert [line["colour_distance"] for line in lines] == pytest.approx([0.36 / 3**0.5, 5.0 / 3**0.5], abs=0.01)
     assert summary["notes"] == [
         "the ground sampling distance of learned map 'fok-1to1' is unknown: pictures are not resampled",
-        "colours are 1.5 standard deviations of the training from its mean, 2.9 in b.png; those of the training "
-        "pictures are 1",
+        "colours are 1.5 standard deviations of the training from its mean, 2.9 in b.png; those of its own pictures "
+        "are 1",
     ]
 
 

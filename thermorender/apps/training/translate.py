@@ -242,10 +242,11 @@ def _colours(facts: Mapping[str, Mapping[str, Any]]) -> str | None:
     away = {name: own["colour_distance"] for name, own in facts.items() if "colour_distance" in own}
     if not away:
         return None
-    farthest = max(away, key=lambda each: away[each])
+    farthest, middle = max(away, key=lambda each: away[each]), float(np.median(list(away.values())))
+    most = f", {away[farthest]:.1f} in {farthest}" if len(away) > 1 else ""
     return (
-        f"colours are {float(np.median(list(away.values()))):.1f} standard deviations of the training from its mean, "
-        f"{away[farthest]:.1f} in {farthest}; those of the training pictures are 1"
+        f"colours are {middle:.1f} standard deviations of the training from its mean{most}; those of its own pictures "
+        "are 1"
     )
 
 
