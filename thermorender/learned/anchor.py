@@ -12,7 +12,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import TemperatureMap
 
 # Expected share of a picture's variance that a map explains: a correlation of 0.58 within a picture. Estimated: trees
-# reach 0.60 on road scenes; 1/5 to 1/2 change the error by at most 0.2 K on field plots, fires, trees and roads.
+# reach 0.60 on road scenes; 1/5 to 1/2 change the error by at most 0.3 K on field plots, fires, trees and roads.
 EXPLAINED = 1.0 / 3.0
 
 
