@@ -355,10 +355,6 @@ def translate(
         line = None if anchor is None else anchor_of(anchor, chosen, images, texel_m)
         summary = run(chosen, images, output, texel_m, palette, frames, resume, report, line)
         seen = search_in_files(chosen, images, lambda share: report("audit", share)) if audit else None
-    if line is not None:
-        typer.echo(f"anchor: temperatures are {line.span:.2f} times those of the map {line.offset_k:+.1f} K")
-    for sentence in summary["notes"]:
-        typer.echo(sentence)
     for sentence in summary["warnings"]:
         typer.echo(f"warning: {sentence}", err=True)
     if seen is not None:
@@ -369,5 +365,9 @@ def translate(
     counted += [f"{summary['passed over']} done before"] if summary["passed over"] else []
     counted += [f"{len(summary['failed'])} failed"] if summary["failed"] else []
     typer.echo(f"{', '.join(counted)}, in {output}")
+    if line is not None:
+        typer.echo(f"anchor: temperatures are {line.span:.2f} times those of the map {line.offset_k:+.1f} K")
+    for sentence in summary["notes"]:
+        typer.echo(sentence)
     if summary["failed"]:
         raise typer.Exit(2)
