@@ -71,8 +71,9 @@ def kinetic_from_map(
 
     `material` (h, w) uint8 indexes `materials`, which are taken in the map's band. The map gives *apparent* temperature
     under its training sky, or under `sky_temperature` [K], in its own band, if it takes hour and weather as input; the
-    reflection of that sky is removed per material. Where emissivity is low, or the temperature does not exist or is far
-    outside the trained range, `trusted` is False and the temperature `stand_in` [K], by default the material's own.
+    reflection of that sky is removed per material, and no surface is colder than it. Where emissivity is low, or the
+    temperature does not exist or is far outside the trained range, `trusted` is False and the temperature `stand_in`
+    [K], by default the material's own.
     """
     in_band = materials if isinstance(materials, InBand) else InBand(model, materials)
     sky = model.sky_temperature if sky_temperature is None else sky_temperature
@@ -92,6 +93,6 @@ def kinetic_from_map(
         if own.band_emissivity(*model.band_um, middle) >= LOWEST_EMISSIVITY:
             kinetic = kinetic_temperature(apparent[here], own.emissivity_at, sky, model.band_um, believed)
             trusted[here] = np.isfinite(kinetic)
-            temperature[here] = np.where(np.isfinite(kinetic), kinetic, other)
+            temperature[here] = np.where(np.isfinite(kinetic), np.maximum(kinetic, sky), other)
     outside = float(np.mean((intensity < 0.0) | (intensity > 1.0)))
     return temperature, trusted, outside

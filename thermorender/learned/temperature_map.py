@@ -22,6 +22,7 @@ from thermorender.defaults import BAND_UM, CAMERA, TRAINED_MAPS
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.learned import correlation
 from thermorender.learned.fingerprints import Fingerprints
+from thermorender.learned.training_level import TrainingLevel
 from thermorender.physics.band import radiance_in_band, radiance_of
 from thermorender.physics.planck import band_radiance, kelvin_per_radiance
 from thermorender.schema import did_you_mean
@@ -105,11 +106,13 @@ class TemperatureMap:
         Hour and weather of the training pictures, if all had the same: keys and values of a scene's [weather], a named
         day's. If None, the map can be moved to another hour only where the scene states them.
     error_k : float or None
-        Standard deviation of its error [K]; None: unknown.
+        Root mean square error on pictures that it was not fitted to [K]; None: unknown.
     about : dict
         Data set and its split, conditions, settings, versions.
     fingerprints : Fingerprints or None
         Of its training pictures; None: what it was trained on is unknown.
+    level : TrainingLevel or None
+        Level and spread of its training pictures; None: unknown.
     """
 
     name: str
@@ -126,6 +129,7 @@ class TemperatureMap:
     error_k: float | None = None
     about: dict[str, Any] = field(default_factory=dict)
     fingerprints: Fingerprints | None = None
+    level: TrainingLevel | None = None
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -202,6 +206,25 @@ class TemperatureMap:
         cold, warm = band_radiance(np.array(self.range_k), *self.band_um)
         return cold + found * (warm - cold)
 
+    @property
+    def limits_k(self) -> tuple[float, float]:
+        """Coldest and warmest apparent temperature that it is believed, (2,) [K].
+
+        They are those of intensity 0 and 1. No surface is colder than its sky, so the first is at least the sky of the
+        training, unless that is assumed.
+        """
+        low, high = self.range_k
+        return (max(low, self.coldest_k), high) if self.coldest_k < high else (low, high)
+
+    @property
+    def coldest_k(self) -> float:
+        """Temperature of the training's sky [K], below which no surface is; 0 where it is assumed."""
+        return 0.0 if self.about.get("sky_assumed", True) else self.sky_temperature
+
+    def limited(self, radiance: np.ndarray) -> np.ndarray:
+        """Return apparent band radiances of a map of colour clipped to `limits_k`, (h, w) float64 [W m⁻² sr⁻¹]."""
+        return np.clip(radiance, *band_radiance(np.array(self.limits_k), *self.band_um))
+
     def digest(self) -> str:
         """Return a checksum (hex) of everything that its temperatures depend on."""
         plain = [getattr(self, name) for name in ("range_k", "band_um", "texel_m", "sky_temperature")]
@@ -243,7 +266,9 @@ class TemperatureMap:
         if self.predictor.above_air:
             raise ThermorenderError(f"range_c=({low:g}, {high:g}) does not apply to learned map {self.name!r}, which "
                                     "predicts kelvin above the air; leave it out")  # fmt: skip
-        return replace(self, range_k=(low + ZERO_CELSIUS_K, high + ZERO_CELSIUS_K))
+        # Whoever states a coldest surface states that its sky is no warmer.
+        range_k = low + ZERO_CELSIUS_K, high + ZERO_CELSIUS_K
+        return replace(self, range_k=range_k, sky_temperature=min(self.sky_temperature, range_k[0]))
 
     def __repr__(self) -> str:
         low, high = (limit - ZERO_CELSIUS_K for limit in self.range_k)
@@ -258,7 +283,8 @@ class TemperatureMap:
         lines = [
             f"{self.name}: {self.method} → apparent temperature, {self.band_um[0]:g}–{self.band_um[1]:g} µm",
             f"  range         {low:.1f}…{high:.1f} °C for intensity 0…1",
-            f"  texel         {_metres(self.texel_m)}{f', trained at {trained}' if trained else ''}",
+            f"  texel         {_metres(self.texel_m)}"
+            + (f", trained at {trained}" if trained else ": pictures are not resampled"),
             f"  needs         {', '.join(_WORDS[name] for name in self.needs) or 'colour only'}",
             f"  source        {self.source}",
         ]
@@ -280,6 +306,7 @@ def save_map(model: TemperatureMap, path: files.PathLike) -> None:
     kind = next(kind for kind, (_, name) in PREDICTORS.items() if type(predictor).__name__ == name)
     header = {"format": FORMAT, "predictor": kind, **{name: getattr(model, name) for name in _PLAIN}}
     header["of_predictor"], arrays = predictor.header(), predictor.arrays()
+    header["level"] = None if model.level is None else model.level.header()
     if model.fingerprints is not None:
         header["training_pictures"] = model.fingerprints.pictures
         arrays = {**arrays, "fingerprints": model.fingerprints.rows}
@@ -322,7 +349,10 @@ def load_map(path: files.PathLike) -> TemperatureMap:
         prints = None if pictures is None else Fingerprints(arrays.pop("fingerprints"), int(pictures))
         module, name = PREDICTORS[header.pop("predictor")]
         predictor = getattr(importlib.import_module(module), name).of(header.pop("of_predictor"), arrays)
+        # Maps of earlier versions have no level.
+        level = header.pop("level", None)
         header = {key: tuple(value) if isinstance(value, list) else value for key, value in header.items()}
+        header["level"] = None if level is None else TrainingLevel.of(level)
         return _usable(TemperatureMap(predictor=predictor, fingerprints=prints, **header))
     except ThermorenderError:
         raise

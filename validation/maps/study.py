@@ -87,7 +87,7 @@ def run(dataset, methods=None, vary=None, limit=60, seed=0, progress=None):
         pairs, options = train, {varied: value} if varied in ("share", "shift_px") else {}
         if varied == "kind":
             pairs = train.having([entry for entry in train.entries if entry.labels.get("kind") != value])
-        model = train_map(name, name, pairs, seed=seed, parts=("train",), **options)
+        model = train_map(name, name, pairs, seed=seed, parts=("train",), judged=False, **options)
         here = [varied != "kind" or entry.labels.get("kind") == value for entry in scored]
         errors = _errors(model, test, [entry for entry, of_kind in zip(scored, here, strict=True) if of_kind])
         case = {"method": name, "pairs": sum(model.about["pairs"].values()), "training_s": model.about["training_s"],

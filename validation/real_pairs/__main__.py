@@ -23,11 +23,14 @@ def main(
     methods: Annotated[
         str | None, typer.Option(help=f"Comma-separated: {', '.join(study.METHODS)}; default: all.")
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of training and intervals.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of training, intervals and draws.", min=0)] = 0,
+    rendered: Annotated[Path | None, typer.Option(help="A rendered data set, whose test part is anchored too.")] = None,
 ):
     """Learned maps on real pairs of pictures, each group of pictures tested by maps trained on the others."""
     with new_results(output) as (report, folder):
-        result = study.run(data, split(sets) if sets else None, split(methods) if methods else None, seed, report)
+        result = study.run(
+            data, split(sets) if sets else None, split(methods) if methods else None, seed, rendered, report
+        )
         formats.write_json(folder / "real_pairs.json", result)
         study.page(folder / "real_pairs.md", result)
     conclude("real_pairs", output, study.HEADER, study.rows(result), "page and numbers")

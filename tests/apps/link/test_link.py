@@ -181,12 +181,12 @@ def test_translations_are_those_of_the_map(client, renderer):
     photo, covered = photograph(renderer, pose)
     np.testing.assert_array_equal(reply.visible, photo)
     texel = float(np.median(reply.depth[covered])) / renderer.scene.camera.focal_length_px
-    np.testing.assert_allclose(reply.radiance, model.radiance(Inputs(photo, texel)), rtol=1e-5)
+    np.testing.assert_allclose(reply.radiance, model.limited(model.radiance(Inputs(photo, texel))), rtol=1e-5)
     assert np.isnan(reply.budget_mk) and session.opened.range_k == model.range_k
     own = np.random.default_rng(1).integers(0, 256, photo.shape, np.uint8)
     reply = session.frame(1.0, pose, products=("radiance", "visible"), picture=own, texel_m=0.3)
     np.testing.assert_array_equal(reply.visible, own)
-    np.testing.assert_allclose(reply.radiance, model.radiance(Inputs(own, 0.3)), rtol=1e-5)
+    np.testing.assert_allclose(reply.radiance, model.limited(model.radiance(Inputs(own, 0.3))), rtol=1e-5)
     with pytest.raises(LinkError, match=r"9 × 7 pixels; resize it to those of the session's camera, 80 × 64"):
         session.frame(2.0, pose, picture=own[:7, :9])
 

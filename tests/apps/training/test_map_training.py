@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from training_support import SCALE, SHAPE, colours, counts, write
 
+from thermorender.apps.training import map_training
 from thermorender.apps.training.dataset import ThermalScale
+from thermorender.apps.training.map_inputs import inputs_of
 from thermorender.apps.training.map_training import train_map
 from thermorender.apps.training.training_methods import METHODS
 from thermorender.errors import ThermorenderError
-from thermorender.learned.temperature_map import MODELS, SHIPPED, Inputs, load_map, load_model
+from thermorender.learned.temperature_map import MODELS, SHIPPED, Inputs, load_map, load_model, save_map
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.readout import radiance_from_counts
@@ -56,8 +58,9 @@ def test_intensity_bounds_are_those_of_the_training_part(tmp_path):
                                SCALE.radiance(bounds), rtol=1e-6)  # fmt: skip
 
 
-def test_stated_error_is_that_of_the_validation_part(tmp_path):
+def test_stated_error_is_that_of_the_validation_part(tmp_path, monkeypatch):
     """A validation picture that is 500 counts brighter: 2 W m⁻² sr⁻¹, converted to kelvin by hand."""
+    monkeypatch.setattr(map_training, "_FEW_PAIRS", 1)
     dataset = write(tmp_path / "d", change=lambda values, number: values + 500.0 * (number == 2))
     model = train_map("m", "correlation-1to1", dataset, {"intercept": True}, parts=("train",))
     rows, columns = np.mgrid[: SHAPE[0] : 4, : SHAPE[1] : 4]
@@ -65,15 +68,94 @@ def test_stated_error_is_that_of_the_validation_part(tmp_path):
     away = brightness_temperature(SCALE.radiance(true + 500.0), *SCALE.band_um)
     away -= brightness_temperature(SCALE.radiance(true), *SCALE.band_um)
     assert model.error_k == pytest.approx(math.sqrt((away**2).mean()), rel=0.01)
-    assert model.about["pairs"] == {"train": 2}
+    assert model.about["pairs"] == {"train": 2} and model.about["error_on"] == {"pairs": 1, "folds": 1}
+    # A fit with the validation part has the same error: it is fitted again without it.
+    again = train_map("m", "correlation-1to1", dataset, {"intercept": True})
+    assert again.error_k == model.error_k and again.predictor.intercept != model.predictor.intercept
 
 
-def test_error_is_none_without_valid_validation_pixels(tmp_path):
-    """Without validation, or if all of it is invalid: an error of 0 would be a claim."""
+def test_error_of_few_pictures_is_cross_validated_by_sequence(tmp_path):
+    """Of four sequences, one is 500 counts brighter: each is predicted by a fit to the other three."""
+    dataset = write(tmp_path / "d", parts=("train",) * 3 + ("validation",),
+                    change=lambda values, number: values + 500.0 * (number == 2))  # fmt: skip
+    model = train_map("m", "correlation-1to1", dataset, {"intercept": True})
+    assert model.about["error_on"] == {"pairs": 4, "folds": 4}
+    squares = []
+    for out in range(4):
+        fitted = dataset.having([replace(each, part="train") for k, each in enumerate(dataset.entries) if k != out])
+        pair = dataset.pair(dataset.entries[out])
+        found = train_map("m", "correlation-1to1", fitted, {"intercept": True}, judged=False)
+        assert found.error_k is None
+        given, true = (brightness_temperature(each[::4, ::4], *SCALE.band_um)
+                       for each in (found.radiance(inputs_of(pair, dataset.card)), pair.reference))  # fmt: skip
+        squares.append(((given - true) ** 2)[pair.valid[::4, ::4]])
+    assert model.error_k == pytest.approx(math.sqrt(np.concatenate(squares).mean()), rel=1e-9)
+    # Every method without a long training, whatever part the pictures are in.
+    for method, parts in (("palette", ("train",) * 4), ("trees", ("train",) * 4), ("correlation-1to1", ("train",) * 4)):
+        kept = dataset.having([replace(each, part=part) for each, part in zip(dataset.entries, parts, strict=True)])
+        assert train_map("m", method, kept).about["error_on"] == {"pairs": 4, "folds": 4}, method
+
+
+def test_a_network_is_not_judged_by_the_sequences_that_choose_its_state(tmp_path):
+    dataset = write(tmp_path / "d", parts=("train", "validation", "validation", "train", "validation"))
+    ((kept, out),) = map_training.held_out(dataset, dataset.of("train", "validation"), network=True)
+    assert [each.sequence for each in out.entries] == ["s2"]
+    assert [each.sequence for each in kept.entries] == ["s0", "s1", "s3", "s4"]
+    assert map_training.held_out(dataset.of("train"), dataset.of("train"), network=True) == []
+
+
+def test_error_is_none_without_a_sequence_or_valid_pixels_to_leave_out(tmp_path, monkeypatch):
+    """An error of 0 would be a claim."""
     assert train_map("m", "correlation-1to1", write(tmp_path / "a", parts=("train", "test"))).error_k is None
+    monkeypatch.setattr(map_training, "_FEW_PAIRS", 1)
     dataset = write(tmp_path / "b", origin="rendered", camera="boson-640",
                     change=lambda values, number: values * 0 if number == 2 else values)  # fmt: skip
     assert train_map("m", "correlation-1to1", dataset, parts=("train",)).error_k is None
+
+
+def test_level_and_spread_of_the_training_are_recorded(tmp_path):
+    """Of the pictures' valid pixels, without sky and saturated ones; their values are 40 W m⁻² sr⁻¹ and more."""
+    from thermorender.learned.pixel_features import lab
+
+    sky = np.zeros(SHAPE, np.uint8)
+    sky[:8] = 255
+    dataset = write(tmp_path / "d", extra=True, truth=lambda number: {"material": sky})
+    model = train_map("m", "correlation-1to1", dataset, judged=False)
+    shown = [dataset.pair(each) for each in dataset.of("train", "validation").entries]
+    kelvin = np.concatenate([brightness_temperature(each.reference[8::4, ::4], *SCALE.band_um) for each in shown])
+    colour = np.concatenate([lab(each.visible[8::4, ::4]) for each in shown]).reshape(-1, 3).astype(np.float64)
+    level = model.level
+    assert (level.kelvin, level.kelvin_spread) == pytest.approx((kelvin.mean(), kelvin.std()), rel=1e-6)
+    within = [brightness_temperature(each.reference[8::4, ::4], *SCALE.band_um).var() for each in shown]
+    assert level.kelvin_within == pytest.approx(math.sqrt(np.mean(within)), rel=1e-6)
+    assert level.colour == pytest.approx(colour.mean(axis=0), rel=1e-6)
+    assert level.colour_spread == pytest.approx(colour.std(axis=0), rel=1e-6)
+    assert level.air_k == pytest.approx(281.0)
+    # One standard deviation from the mean of training, on the pictures of training.
+    own = [level.distance(each.visible[8::4, ::4]) ** 2 for each in shown]
+    assert np.mean(own) == pytest.approx(1.0, rel=1e-5)
+    even = np.zeros((4, 4, 3), np.uint8)
+    away = np.sqrt(np.mean((np.array(level.colour) / level.colour_spread) ** 2))
+    assert level.distance(even) == pytest.approx(away, rel=1e-5)
+    save_map(model, tmp_path / "m.npz")
+    assert load_map(tmp_path / "m.npz").level == level
+    # An air that only some pictures state is not that of the level.
+    some = [replace(each, conditions={} if number else each.conditions) for number, each in enumerate(dataset.entries)]
+    assert train_map("m", "correlation-1to1", dataset.having(some), judged=False).level.air_k is None
+
+
+@pytest.mark.parametrize("unknown", [1, 4])
+@pytest.mark.parametrize("method", ["correlation-9to1", "trees", "palette"])
+def test_an_unknown_ground_sampling_distance_stays_unknown(tmp_path, method, unknown):
+    """One picture without it is enough: the map resamples nothing, and says so."""
+    dataset = write(tmp_path / "d")
+    some = [replace(each, texel_m=each.texel_m if number >= unknown else None)
+            for number, each in enumerate(dataset.entries)]  # fmt: skip
+    model = train_map("m", method, dataset.having(some), judged=False)
+    assert model.texel_m is None and model.texel_range_m is None
+    assert "texel         unknown size: pictures are not resampled" in str(model)
+    fine, coarse = (model.radiance(Inputs(colours(9), texel_m)) for texel_m in (0.05, 5.0))
+    assert np.array_equal(fine, coarse) and model.texel_warning(0.05) is None
 
 
 def test_saturated_pixels_are_excluded(tmp_path):
@@ -194,7 +276,7 @@ def test_command_trains_and_writes_a_map(tmp_path, call):
         assert status == 0, err
         model = load_map(path)
         assert model.method == method and model.about["seed"] == 3 and f"{path}: trained in" in out
-        assert "K on validation" in out and model.error_k < 1.0
+        assert "K on 3 pairs, cross-validated in 3 folds" in out and model.error_k < 1.0
         assert model.about["conditions"] == {"air_k": [280.0, 282.0], "solar_hour": [6.0, 8.0]}
     assert load_map(tmp_path / "correlation-1to1.npz").about["options"] == {
         "intercept": True, "penalty": 1e-6, "above_air": False,
@@ -239,7 +321,8 @@ def test_user_split_is_used(tmp_path, call):
     status, _, err = call("train", "correlation-1to1", tmp_path / "d", "-o", tmp_path / "m.npz", "--split", path)
     assert status == 0, err
     model = load_map(tmp_path / "m.npz")
-    assert model.about["pairs"] == {"train": 3, "validation": 0} and model.error_k is None
+    assert model.about["pairs"] == {"train": 3, "validation": 0}
+    assert model.about["error_on"] == {"pairs": 3, "folds": 3}
 
 
 def test_train_emissivity_uses_a_class_raster(tmp_path, call):
@@ -363,6 +446,9 @@ def test_shipped_maps_record_their_training(name):
     assert model.name == name and model.source.endswith("rendered from procedural scenes")
     assert model.about["dataset"]["origin"] == "rendered" and model.about["dataset"]["licence"] == "MIT"
     assert model.about["pairs"] == {"train": 1620, "validation": 162} and model.about["seed"] == 0
+    # Ground over a year and all hours, on the mean about as warm as the air.
+    assert abs(model.level.kelvin - model.level.air_k) < 2.0 < model.level.kelvin_within < model.level.kelvin_spread
+    assert "60 training worlds" in model.about["level_of"]
     # Four seasons, day and night.
     seen = model.about["conditions"]
     assert seen["air_k"][0] < 260.0 and seen["air_k"][1] > 300.0 and seen["day"][1] - seen["day"][0] > 350

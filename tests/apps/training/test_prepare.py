@@ -12,7 +12,7 @@ import pytest
 from support import shared_data
 from training_support import TRUE, pair
 
-from thermorender.apps.training import bounds, pictures
+from thermorender.apps.training import bounds, map_training, pictures
 from thermorender.apps.training.cut import Cut, moved, piece
 from thermorender.apps.training.dataset import ThermalScale, read_dataset
 from thermorender.apps.training.registration.rig import Rig, save_rig
@@ -631,29 +631,30 @@ def test_a_spot_that_saturates_the_detector_stays_a_temperature(tmp_path):
         np.testing.assert_allclose(found.values * 0.01, expected, atol=0.0051)
 
 
-# --- the error on validation --------------------------------------------------------------------------------------
+# --- the error on pictures left out -------------------------------------------------------------------------------
 
 
 def trained(call, path):
-    """What `train` says of a data set's validation, beside its own error."""
+    """What `train` says of the pictures left out, beside its own error."""
     status, output, errors = call("train", "correlation-1to1", path / "set", "-o", path / "map.npz")
-    assert status == 0 and "own error" in output and "on validation" in output
+    assert status == 0 and "own error" in output
     return errors
 
 
-def test_train_names_validation_crops_of_training_pictures_and_its_advice_works(tmp_path, call):
+def test_train_names_validation_crops_of_training_pictures_and_its_advice_works(tmp_path, call, monkeypatch):
+    monkeypatch.setattr(map_training, "_FEW_PAIRS", 1)
     folders(tmp_path)
     crops = ("--crops", "4", "--crop-size", "16", "--seed", "5")
     prepared(call, tmp_path, *crops, "--split", "crop")
     errors = trained(call, tmp_path)
-    assert "validation pictures have a sibling in training, such as seq" in errors
+    assert "pictures left out have a sibling in training, such as seq" in errors
     assert "their error measures memory, not new pictures" in errors and "`prepare --split sequence`" in errors
     shutil.rmtree(tmp_path / "set")
     prepared(call, tmp_path, *crops, "--split", "sequence")
-    assert "validation" not in trained(call, tmp_path)
+    assert "left out" not in trained(call, tmp_path)
 
 
-def test_train_names_validation_copies_of_training_pictures(tmp_path, call):
+def test_train_names_copies_of_training_pictures_among_those_left_out(tmp_path, call, monkeypatch):
     """Smoothed noise is known again when it is brighter; other noise is not."""
     rng, parts = np.random.default_rng(8), {"train": [], "validation": []}
     for folder in ("visible", "thermal"):
@@ -671,10 +672,14 @@ def test_train_names_validation_copies_of_training_pictures(tmp_path, call):
     split = tmp_path / "split.json"
     split.write_text(json.dumps(parts))
     prepared(call, tmp_path, "--split", split)
+    # Few pictures are cross-validated: a0 and b0 are each left out once.
     errors = trained(call, tmp_path)
-    assert "1 of 5 validation pictures have a picture that shows the same in training, such as b0 – a0: " in errors
+    assert "2 of 9 pictures left out have a picture that shows the same in training, such as " in errors
+    monkeypatch.setattr(map_training, "_FEW_PAIRS", 1)
+    errors = trained(call, tmp_path)
+    assert "1 of 5 pictures left out have a picture that shows the same in training, such as b0 – a0: " in errors
     assert "leave the copies out" in errors
     parts["validation"].remove("b0")
     split.write_text(json.dumps(parts))
     status, _, errors = call("train", "correlation-1to1", tmp_path / "set", "-o", tmp_path / "m.npz", "--split", split)
-    assert status == 0 and "validation" not in errors
+    assert status == 0 and "left out" not in errors

@@ -472,9 +472,9 @@ def _brief(row: NDArray[np.float64]) -> dict[str, Any]:
 
 def _header(model: TemperatureMap, text: str | Path) -> dict[str, Any]:
     """Return the header of a map's file, and its digest where `text` is a file."""
-    header = {
-        each.name: getattr(model, each.name) for each in fields(model) if each.name not in ("predictor", "fingerprints")
-    }
+    left_out = ("predictor", "fingerprints", "level")
+    header = {each.name: getattr(model, each.name) for each in fields(model) if each.name not in left_out}
+    header["level"] = None if model.level is None else model.level.header()
     return header | {"sha256": _digest(text) if str(text).endswith(".npz") else None}
 
 

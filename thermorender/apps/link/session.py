@@ -16,6 +16,7 @@ from thermorender.apps.link.wire import ALL_PRODUCTS, Product
 from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import Inputs
 from thermorender.output.photograph import photograph
+from thermorender.physics.band import radiance_in_band
 from thermorender.render.flight.live import LiveFrames
 from thermorender.render.flight.timed import TimedRenderer
 from thermorender.trajectory.readers import enu_from_ned_at, of_vehicle
@@ -160,7 +161,8 @@ class TranslatedFrames(LiveFrames[Renderer]):
             depth = renderer.depth(pose)
             near = depth[covered & np.isfinite(depth)]
             texel_m = float(np.median(near)) / renderer.scene.camera.focal_length_px if near.size else None
-        radiance = self.model.radiance(Inputs(picture, texel_m), renderer.scene.camera.band_um).astype(np.float32)
+        radiance = self.model.limited(self.model.radiance(Inputs(picture, texel_m)))
+        radiance = radiance_in_band(radiance, self.model.band_um, renderer.scene.camera.band_um).astype(np.float32)
         plan = {"method": "B", "map": self.model.name}
         return renderer.frame_of(radiance, pose, plan, time_s, index, objects)
 

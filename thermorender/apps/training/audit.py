@@ -169,19 +169,25 @@ def audit(dataset: Dataset, near_m: float = NEAR_M, progress: Progress | None = 
     return Audit(len(test), len(train), leaks)
 
 
-def memory_of_validation(dataset: Dataset, progress: Progress | None = None) -> str | None:
-    """Return a sentence if validation pictures of a Dataset are crops or copies of training pictures, else None."""
-    held, train = dataset.of("validation").entries, dataset.of("train").entries
-    if not (held and train):
-        return None
+def memory_of(tests: Sequence[tuple[Dataset, Dataset]], progress: Progress | None = None) -> str | None:
+    """Return a sentence if pairs left out are crops or copies of the pairs that a map is fitted to, else None.
+
+    `tests` are [(pairs to fit, pairs left out)], as by `map_training.held_out`.
+    """
     # An audit looks at the test part.
-    found = audit(dataset.having([*train, *(replace(entry, part="test") for entry in held)]), progress=progress)
+    found = [
+        audit(out.having([*(replace(entry, part="train") for entry in kept.entries),
+                          *(replace(entry, part="test") for entry in out.entries)]), progress=progress)
+        for kept, out in tests
+    ]  # fmt: skip
     for kind, mend in _MENDED.items():
-        leak = found.leaks[kind]
-        if leak.tests:
+        leaks = [each.leaks[kind] for each in found]
+        number, asked = sum(each.tests for each in leaks), sum(each.asked for each in leaks)
+        if number:
+            worst = next(each.worst[0] for each in leaks if each.tests)
             return (
-                f"{leak.tests} of {leak.asked} validation pictures have {KINDS[kind].noun} in training, such as "
-                f"{leak.worst[0][0]} – {leak.worst[0][1]}: their error measures memory, not new pictures; {mend}"
+                f"{number} of {asked} pictures left out have {KINDS[kind].noun} in training, such as {worst[0]} – "
+                f"{worst[1]}: their error measures memory, not new pictures; {mend}"
             )
     return None
 

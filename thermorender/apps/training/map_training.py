@@ -17,6 +17,7 @@ from thermorender.apps.training.training_methods import METHODS, method
 from thermorender.errors import ThermorenderError
 from thermorender.learned.fingerprints import Fingerprints, fingerprints_of, stored_numbers
 from thermorender.learned.temperature_map import ASSUMED_SKY_K, Inputs, TemperatureMap
+from thermorender.learned.training_level import LevelSums, TrainingLevel
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.progress import Progress
 from thermorender.units import ZERO_CELSIUS_K
@@ -24,9 +25,12 @@ from thermorender.versions import version_of, versions
 
 # Lowest temperature of intensity 0 [K], below any sky's in the band. Chosen.
 _COLDEST_K = 150.0
-# A map's stated error is measured on this many evenly spaced validation pairs, at every n-th row and column.
+# A map's stated error is measured on this many evenly spaced pairs of those that are left out, and its level on as many
+# of training, at every n-th row and column.
 _ERROR_PAIRS = 60
 _EVERY = 4
+# With fewer validation pairs, the error is cross-validated in so many folds.
+_FEW_PAIRS, _FOLDS = 30, 5
 # Conditions whose range over the training pairs is recorded.
 _RANGES = ("air_k", "wind_m_s", "snow_m", "sun_elevation_deg", "solar_hour", "day")
 
@@ -35,12 +39,15 @@ def train_map(
     name: str, method_name: str, dataset: Dataset, options: Mapping[str, Any] | None = None, seed: int = 0,
     progress: Progress | None = None, parts: Sequence[str] = ("train", "validation"), material: bool = False,
     shift_px: float = 0.0, share: float = 1.0, run: str | Path | None = None, resume: bool = False,
+    judged: bool = True,
 ) -> TemperatureMap:  # fmt: skip
     """Return the TemperatureMap of a method, trained on some parts of a Dataset.
 
     `options` replace the method's defaults. `material` adds the true material of each pixel (a privileged map).
     `shift_px` is the length of a random shift of each thermal picture [px]. `share` is that of the sequences, evenly
-    spaced. `run` is the folder of a network's training.
+    spaced. `run` is the folder of a network's training. `judged` also measures `error_k`, on pairs outside of the fit:
+    the validation part, for which the map is fitted again without it, or by cross-validation where that part has fewer
+    than 30. A network is judged on every second validation sequence; the others choose its best state.
 
     Intensity 0 and 1 are 1.5 interquartile ranges beyond the quartiles of the training values (equation 2 of the
     published method), with 0 at 150 K or above; saturated pixels are left out. The published correlations were fitted
@@ -75,7 +82,8 @@ def train_map(
         )  # fmt: skip
         return how.fit(task)
 
-    predictor = fit(pairs)
+    tests = held_out(dataset, pairs, how.long)
+    predictor = fit(tests[0][0] if how.long and tests else pairs)
     # A resumed training records the time of all its runs.
     seconds = getattr(predictor, "trained", {}).get("seconds", time.perf_counter() - started)
     skies = [entry.sky_temperature for entry in pairs.entries if entry.sky_temperature]
@@ -84,19 +92,69 @@ def train_map(
         texel_m=texel_m, texel_range_m=texel_range_m, camera=dataset.card.get("camera", "unknown"),
         sky_temperature=float(np.mean(skies)) if skies else ASSUMED_SKY_K,
         source=f"{method_name} on {_name_of(dataset, len(pairs))}", fingerprints=_fingerprints(pairs),
+        level=level_of(pairs, kelvin, usable),
     )  # fmt: skip
     about = _about(dataset, pairs, parts, bounds, {"shift_px": shift_px, "share": share}) | {
         "options": options, "seed": seed, "training_s": round(seconds, 2),
         "training": getattr(predictor, "trained", {}), "versions": versions() | _library(method_name),
     }  # fmt: skip
     made = replace(made, about=about)
-    fitted = pairs.of("train")
-    # Networks do not learn from the validation pairs; other methods are fitted again without them for the error.
-    apart = how.long or not len(pairs.of("validation"))
-    if not apart and not len(fitted):
+    if not judged:
         return made
-    judged = made if apart else replace(made, predictor=fit(fitted))
-    return replace(made, error_k=_error_k(judged, dataset, material))
+    report_progress("measuring the error", 0.0)
+    fits = [(made if how.long or len(kept) == len(pairs) else replace(made, predictor=fit(kept)), out)
+            for kept, out in tests]  # fmt: skip
+    return _with_error(made, fits, material)
+
+
+def held_out(dataset: Dataset, pairs: Dataset, network: bool) -> list[tuple[Dataset, Dataset]]:
+    """Return [(pairs to fit, pairs left out)] for the error of a map of some `pairs` of a Dataset; empty: unknown.
+
+    Those left out are whole sequences, unless they are the validation part. A network's best state is chosen by the
+    validation pairs that it keeps.
+    """
+    held = dataset.of("validation")
+    if network:
+        names = list(dict.fromkeys(entry.sequence for entry in held.entries))
+        out = held.having([entry for entry in held.entries if entry.sequence in names[1::2]])
+        keys = {entry.key for entry in out.entries}
+        return [(pairs.having([entry for entry in pairs.entries if entry.key not in keys]), out)] if keys else []
+    train = pairs.of("train")
+    if len(held) >= _FEW_PAIRS and len(train):
+        return [(train, held)]
+    keys = {entry.key for entry in pairs.entries}
+    every = dataset.having([*pairs.entries, *(entry for entry in held.entries if entry.key not in keys)])
+    names = list(dict.fromkeys(entry.sequence for entry in every.entries))
+    count = min(_FOLDS, len(names))
+    if count < 2:
+        return [(train, held)] if len(train) and len(held) else []
+    fold = {name: number % count for number, name in enumerate(names)}
+
+    def of_fold(number: int, out: bool) -> Dataset:
+        return every.having([entry for entry in every.entries if (fold[entry.sequence] == number) == out])
+
+    return [(of_fold(number, False), of_fold(number, True)) for number in range(count)]
+
+
+def level_of(pairs: Dataset, kelvin: np.ndarray, usable: np.ndarray) -> TrainingLevel | None:
+    """Return the TrainingLevel of the ground of some evenly spaced pairs.
+
+    `kelvin`, (n,) [K], and `usable`, (65536,) bool, are by value of the thermal picture.
+    """
+    sums = LevelSums()
+    for entry in _some_evenly(pairs):
+        pair = pairs.pair(entry, truth=("material",))
+        part = np.s_[::_EVERY, ::_EVERY]
+        values = pair.thermal[part]
+        known = ground_of(pair)[part] & usable[values] & np.isfinite(kelvin[values])
+        sums.add(pair.visible[part][known], kelvin[values][known], entry.conditions.get("air_k"))
+    return sums.level()
+
+
+def _some_evenly(pairs: Dataset) -> list[Entry]:
+    """Entries of at most `_ERROR_PAIRS` evenly spaced pairs."""
+    count = len(pairs)
+    return [pairs.entries[k] for k in np.unique(np.linspace(0, count - 1, min(_ERROR_PAIRS, count)).astype(int))]
 
 
 def _fingerprints(pairs: Dataset) -> Fingerprints:
@@ -112,10 +170,10 @@ def _library(method_name: str) -> dict[str, str | None]:
 
 
 def _sampling(entries: Sequence[Entry]) -> tuple[float | None, tuple[float, float] | None]:
-    """(median, (least, most)) ground sampling distance of entries [m]; None where no entry has one."""
-    known = np.array([entry.texel_m for entry in entries if entry.texel_m])
-    if not known.size:
+    """(median, (least, most)) ground sampling distance of entries [m]; None where one has none."""
+    if not all(entry.texel_m for entry in entries):
         return None, None
+    known = np.array([entry.texel_m for entry in entries])
     return float(np.exp(np.median(np.log(known)))), (float(known.min()), float(known.max()))
 
 
@@ -212,23 +270,27 @@ def _some(dataset: Dataset, share: float) -> Dataset:
     return dataset.having([each for each in dataset.entries if each.sequence in chosen or each.part == "validation"])
 
 
-def _error_k(model: TemperatureMap, dataset: Dataset, material: bool) -> float | None:
-    """RMS error of a map on some validation pairs [K]; None without any."""
-    held = dataset.of("validation")
-    if not len(held):
-        return None
-    squares, count = 0.0, 0
-    for index in np.unique(np.linspace(0, len(held) - 1, min(_ERROR_PAIRS, len(held))).astype(int)):
-        pair = held.pair(held.entries[index])
-        inputs = inputs_of(pair, dataset.card, material)
-        part = np.s_[::_EVERY, ::_EVERY]
-        found, known = (brightness_temperature(each[part], *model.band_um) for each in
-                        (model.radiance(inputs), pair.reference))  # fmt: skip
-        # Pixels without a predicted temperature have no error in kelvin.
-        here = ground_of(pair)[part] & ~_saturated(dataset.card, pair.thermal[part]) & np.isfinite(found - known)
-        squares += float(((found - known)[here] ** 2).sum())
-        count += int(here.sum())
-    return float(np.sqrt(squares / count)) if count else None
+def _with_error(
+    made: TemperatureMap, tests: Sequence[tuple[TemperatureMap, Dataset]], material: bool
+) -> TemperatureMap:
+    """A map with the RMS error [K] of maps on pairs that they were not fitted to; unknown without any."""
+    squares, count, pairs = 0.0, 0, 0
+    for model, held in tests:
+        for entry in _some_evenly(held) if len(held) else ():
+            pair = held.pair(entry)
+            inputs = inputs_of(pair, held.card, material)
+            part = np.s_[::_EVERY, ::_EVERY]
+            found, known = (brightness_temperature(each[part], *model.band_um) for each in
+                            (model.radiance(inputs), pair.reference))  # fmt: skip
+            # Pixels without a predicted temperature have no error in kelvin.
+            here = ground_of(pair)[part] & ~_saturated(held.card, pair.thermal[part]) & np.isfinite(found - known)
+            squares += float(((found - known)[here] ** 2).sum())
+            count += int(here.sum())
+            pairs += int(here.any())
+    if not count:
+        return made
+    about = made.about | {"error_on": {"pairs": pairs, "folds": len(tests)}}
+    return replace(made, error_k=float(np.sqrt(squares / count)), about=about)
 
 
 def _saturated(card: Mapping[str, Any], values: np.ndarray) -> np.ndarray:

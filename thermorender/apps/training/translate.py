@@ -2,15 +2,19 @@
 
 A picture gives a 16-bit TIFF of apparent temperature and an 8-bit picture on the scale of the map; a video gives a
 video, and optionally both files per frame. `translate.json` holds the settings, `translated.jsonl` the finished files.
+
+Temperatures are clipped to the map's range, never below the sky of its training. A MapAnchor brings them to another
+hour and weather.
 """
 
 import json
 import math
 import os
 import warnings
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -19,8 +23,9 @@ import numpy as np
 
 from thermorender import files, formats
 from thermorender.errors import ThermorenderError
+from thermorender.learned.anchor import MapAnchor
 from thermorender.learned.temperature_map import MOST_SPACING, Inputs, TemperatureMap
-from thermorender.physics.planck import band_radiance
+from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.progress import Progress
 from thermorender.sensor.display import DisplaySettings
 from thermorender.sensor.palettes import palette as known_palette
@@ -41,8 +46,10 @@ _LEAST_ALPHA = 128
 _STRIP = 1 << 21
 # Share of frames that a video may lack of its header's number, which some writers only estimate.
 _MISSING_FRAMES = 0.01
-# Share of a result that may be far outside the map's range without a warning.
+# Share of a result that may be far outside the map's range, or colder than its sky, without a warning.
 _MOST_OUTSIDE = 0.01
+# Shares of a result's pixels in the record.
+_SHARES = ("share_outside_0_1", "share_extrapolated", "share_colder_than_sky")
 RECORD, DONE = "translate.json", "translated.jsonl"
 
 
@@ -57,6 +64,7 @@ class Translation:
     model: TemperatureMap
     texel_m: float | None = None  # Ground sampling distance of the pictures [m]; None means the map's own
     palette: str = "white-hot"  # Palette of the 8-bit pictures
+    anchor: MapAnchor | None = None  # Level and span for another hour and weather
 
     def __post_init__(self) -> None:
         model = self.model
@@ -77,47 +85,58 @@ class Translation:
         """The DisplaySettings of the 8-bit pictures."""
         return DisplaySettings("linear", self.palette)
 
-    def counts(self, rgb: np.ndarray, known: np.ndarray | None = None) -> np.ndarray:
-        """Return apparent temperature, (h, w) uint16 of `TLINEAR_STEP_K` kelvin; 0 where not `known`, (h, w) bool."""
+    def translated(self, rgb: np.ndarray, known: np.ndarray | None = None) -> tuple[np.ndarray, dict[str, float]]:
+        """Return (apparent temperature (h, w) uint16 of `TLINEAR_STEP_K` kelvin, facts) of a picture.
+
+        Counts are 0 where not `known`, (h, w) bool. Facts are shares of the known pixels before they are clipped, 0 if
+        there are none, and the distance of the picture's colours from those of training. Far outside is more than the
+        range's width beyond an end, or without a temperature.
+        """
         height, width = rgb.shape[:2]
         predictor = self.model.predictor
         # Other predictors may use the whole picture.
         local = hasattr(predictor, "reach")
         reach = predictor.reach(self._spacing) if local else 0
         rows = max(_STRIP // width, 4 * reach, 1) if local else height
-        found, steps = np.empty((height, width), np.uint16), _steps(*self.model.band_um)
+        found, pixels = np.empty((height, width), np.uint16), np.zeros(len(_SHARES) + 1)
         for start in range(0, height, rows):
             stop = min(start + rows, height)
             top = max(start - reach, 0)
             radiance = self.model.radiance(Inputs(rgb[top : stop + reach], self.texel_m))[start - top :][: stop - start]
-            found[start:stop] = np.where(np.isfinite(radiance), np.searchsorted(steps, radiance), 0)
-        if known is not None:
-            found[~known] = 0
-        return found
+            here = np.isfinite(radiance) if known is None else np.isfinite(radiance) & known[start:stop]
+            found[start:stop] = np.where(here, self._counts(radiance), 0)
+            pixels += self._outside(radiance if known is None else radiance[known[start:stop]])
+        facts = dict(zip(_SHARES, (pixels[1:] / max(pixels[0], 1.0)).tolist(), strict=True))
+        level = self.model.level
+        return found, facts if level is None else facts | {"colour_distance": level.distance(rgb)}
 
     def picture(self, counts: np.ndarray) -> np.ndarray:
         """Return counts as an 8-bit picture, the map's range from black to white: (h, w) grey or (h, w, 3) RGB."""
-        return self.display.shown(counts, self._ends)
+        low, high = (self.anchor or MapAnchor()).kelvin(np.array(self.model.range_k)) / TLINEAR_STEP_K
+        # An anchor may have a span of 0.
+        return self.display.shown(counts, np.array([low, max(high, low + 1.0)]))
 
-    def shares_outside(self, counts: np.ndarray, known: np.ndarray | None = None) -> np.ndarray:
-        """Return the shares of the `known` pixels, (h, w) bool, outside the map's range and far outside, (2,).
+    def _counts(self, radiance: np.ndarray) -> np.ndarray:
+        """Counts of the map's radiances, clipped and anchored."""
+        limited = self.model.limited(radiance)
+        if self.anchor is None:
+            return np.searchsorted(_steps(*self.model.band_um), limited)
+        kelvin = self.anchor.kelvin(brightness_temperature(limited, *self.model.band_um))
+        return np.rint(np.clip(kelvin / TLINEAR_STEP_K, 0.0, 65535.0))
 
-        Far is more than its width beyond an end, or without a temperature; the shares are 0 if none are known.
-        """
-        own = counts if known is None else counts[known]
-        low, high = self._ends
-        return np.array([float(np.mean((own < low - far) | (own > high + far) | (own == 0))) if own.size else 0.0
-                         for far in (0.0, high - low)])  # fmt: skip
+    def _outside(self, radiance: np.ndarray) -> np.ndarray:
+        """Number of pixels, and numbers of those that `_SHARES` names."""
+        low, high = self.model.range_k
+        ends = np.maximum([low, high, 2.0 * low - high, 2.0 * high - low, self.model.coldest_k], 0.0)
+        cold, warm, coldest, warmest, sky = band_radiance(ends, *self.model.band_um)
+        far = ~((radiance > coldest) & (radiance <= warmest))
+        return np.array([radiance.size, ((radiance < cold) | (radiance > warm)).sum(), far.sum(),
+                         (radiance < sky).sum()])  # fmt: skip
 
     @cached_property
     def _spacing(self) -> float:
         """Spacing of the map's taps [pixels]."""
         return 1.0 if self.texel_m is None or self.model.texel_m is None else self.model.texel_m / self.texel_m
-
-    @cached_property
-    def _ends(self) -> np.ndarray:
-        """Counts of the ends of the map's range."""
-        return np.array(self.model.range_k) / TLINEAR_STEP_K
 
 
 @lru_cache(4)
@@ -129,24 +148,25 @@ def _steps(lower_um: float, upper_um: float) -> np.ndarray:
 def translate(
     model: TemperatureMap, paths: Sequence[files.PathLike], output: files.PathLike, texel_m: float | None = None,
     palette: str = "white-hot", frames: bool = False, resume: bool = False,
-    progress: Progress | None = None,
+    progress: Progress | None = None, anchor: MapAnchor | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Translate pictures and videos, or folders of them, into a folder; an unreadable one does not stop the others.
 
-    `frames` also writes video frames; `resume` skips finished files of the same settings. Returns counts "done" and
-    "passed over", "failed" {path: sentence}, and "warnings", sentences.
+    `frames` also writes video frames; `resume` skips finished files of the same settings; `anchor` moves the map to
+    another hour and weather. Returns counts "done" and "passed over", "failed" {path: sentence}, and "notes" and
+    "warnings", sentences.
     """
     report = progress or (lambda what, share: None)
-    how = Translation(model, texel_m, palette)
+    how = Translation(model, texel_m, palette, anchor)
     sources = sources_of(paths)
     outputs = {source: _outputs(source, Path(output), frames) for source in sources}
     _refuse_clashes(outputs, resume)
     settings = {
         "model": _record_of(model), "texel_m": texel_m, "palette": palette, "frames": frames,
-        "kelvin_per_count": TLINEAR_STEP_K,
+        "kelvin_per_count": TLINEAR_STEP_K, "anchor": None if anchor is None else asdict(anchor),
     }  # fmt: skip
     done, passed = 0, 0
-    outside: dict[str, float] = {}
+    facts_of: dict[str, dict[str, Any]] = {}
     failed: dict[Path, str] = {}
     with files.output_folder(output) as folder, files.in_use(folder):
         before = _begin(folder, settings, resume)
@@ -170,27 +190,73 @@ def translate(
             except UnreadableError as error:
                 failed[source] = str(error)
                 continue
-            outside[source.name] = facts["share_extrapolated"]
+            facts_of[source.name] = facts
             written = _sizes(outputs[source])
             files.on_disk(*outputs[source])
             formats.append_json(folder / DONE, {"source": name, "checksum": checksum, "files": written, **facts})
             done += 1
-    warnings = [model.texel_warning(texel_m), _extrapolation(model, outside)]
-    return {"done": done, "passed over": passed, "failed": failed, "warnings": [each for each in warnings if each]}
+    warnings = [model.texel_warning(texel_m), _extrapolation(model, facts_of), _too_cold(model, facts_of)]
+    notes = [_sampling(model, texel_m), _colours(facts_of)]
+    return {"done": done, "passed over": passed, "failed": failed,
+            **{name: [each for each in sentences if each] for name, sentences in (("notes", notes),
+                                                                                  ("warnings", warnings))}}  # fmt: skip
 
 
-def _extrapolation(model: TemperatureMap, outside: Mapping[str, float]) -> str | None:
+def _extrapolation(model: TemperatureMap, facts: Mapping[str, Mapping[str, Any]]) -> str | None:
     """A warning if a share of some result is far outside a map's range."""
-    far = {name: share for name, share in outside.items() if share > _MOST_OUTSIDE}
-    if not far:
+    found = _most(facts, "share_extrapolated")
+    if not found:
         return None
-    name = max(far, key=lambda each: far[each])
     low, high = (limit - ZERO_CELSIUS_K for limit in model.range_k)
     return (
-        f"{len(far)} of {len(outside)} results have more than {_MOST_OUTSIDE:.0%} of their pixels far outside "
-        f"{low:.1f}…{high:.1f} °C, the range of learned map {model.name!r}: {name} {far[name]:.0%}; the map does not "
-        "know these colours, and pixels without a temperature are 0"
+        f"{found} far outside {low:.1f}…{high:.1f} °C, the range of learned map {model.name!r}; the map does not know "
+        "these colours"
     )
+
+
+def _too_cold(model: TemperatureMap, facts: Mapping[str, Mapping[str, Any]]) -> str | None:
+    """A warning if a share of some result was colder than the sky of the training."""
+    found = _most(facts, "share_colder_than_sky")
+    if not found:
+        return None
+    return (
+        f"{found} colder than {model.coldest_k - ZERO_CELSIUS_K:.1f} °C, the sky of its training, which no surface "
+        "under it is; they are set to that"
+    )
+
+
+def _most(facts: Mapping[str, Mapping[str, Any]], name: str) -> str | None:
+    """Words for the results with more than `_MOST_OUTSIDE` of a share; None if there are none."""
+    found = {result: own[name] for result, own in facts.items() if own[name] > _MOST_OUTSIDE}
+    if not found:
+        return None
+    most = max(found, key=lambda each: found[each])
+    return (
+        f"{len(found)} of {len(facts)} results have more than {_MOST_OUTSIDE:.0%} of their pixels, {most} has "
+        f"{found[most]:.0%},"
+    )
+
+
+def _colours(facts: Mapping[str, Mapping[str, Any]]) -> str | None:
+    """A sentence on how far the colours of results are from those of training; None where these are unknown."""
+    away = {name: own["colour_distance"] for name, own in facts.items() if "colour_distance" in own}
+    if not away:
+        return None
+    farthest, middle = max(away, key=lambda each: away[each]), float(np.median(list(away.values())))
+    most = f", {away[farthest]:.1f} in {farthest}" if len(away) > 1 else ""
+    return (
+        f"colours are {middle:.1f} standard deviations of the training from its mean{most}; those of its own pictures "
+        "are 1"
+    )
+
+
+def _sampling(model: TemperatureMap, texel_m: float | None) -> str | None:
+    """A sentence where pictures are not resampled because a ground sampling distance is unknown."""
+    if model.texel_m is None:
+        return f"the ground sampling distance of learned map {model.name!r} is unknown: pictures are not resampled"
+    if texel_m is None:
+        return f"the ground sampling distance of the pictures is not stated: the map's {model.texel_m:.3g} m is assumed"
+    return None
 
 
 def read_picture(path: files.PathLike) -> tuple[np.ndarray, np.ndarray | None]:
@@ -237,16 +303,11 @@ def read_picture(path: files.PathLike) -> tuple[np.ndarray, np.ndarray | None]:
 def _picture(how: Translation, source: Path, outputs: Sequence[Path]) -> dict[str, Any]:
     """Translate a picture; return facts for the record."""
     rgb, known = read_picture(source)
-    counts = how.counts(rgb, known)
+    counts, facts = how.translated(rgb, known)
     _refuse_empty(source, counts, known is None or bool(known.any()))
     tiff, png = outputs
     _write_counts(how, counts, tiff, png)
-    return {"shape": list(counts.shape), **_shares(how.shares_outside(counts, known))}
-
-
-def _shares(outside: np.ndarray) -> dict[str, float]:
-    """The record's entries of shares outside the map's range."""
-    return {"share_outside_0_1": float(outside[0]), "share_extrapolated": float(outside[1])}
+    return {"shape": list(counts.shape), **facts}
 
 
 def _video(
@@ -271,9 +332,9 @@ def _video(
         part = stack.enter_context(files.atomic(outputs[0]))
         folder = stack.enter_context(files.atomic_folder(outputs[1], overwrite=True)) if outputs[1:] else None
         writer: cv2.VideoWriter | None = None
-        number, outside = 0, np.zeros(2)
+        number, sums = 0, Counter[str]()
         while whole:
-            counts = how.counts(np.ascontiguousarray(image[..., ::-1], np.uint8))
+            counts, facts = how.translated(np.ascontiguousarray(image[..., ::-1], np.uint8))
             _refuse_empty(source, counts, True)
             shown = how.picture(counts)
             if writer is None:
@@ -286,7 +347,7 @@ def _video(
             if folder:
                 _write_counts(how, counts, folder / f"{number:06d}.tif", folder / f"{number:06d}.png")
             number += 1
-            outside += how.shares_outside(counts)
+            sums.update(facts)
             report_share(number / max(declared, number))
             whole, image = reader.read()
         assert writer is not None
@@ -294,7 +355,8 @@ def _video(
         _refuse_cut(part, number)
         if number < declared - max(1.0, _MISSING_FRAMES * declared):
             raise UnreadableError(f"{source} breaks off after {number} of {declared} frames; give the whole video")
-    return {"shape": list(counts.shape), "frames": number, "rate_hz": rate_hz, **_shares(outside / number)}
+    return {"shape": list(counts.shape), "frames": number, "rate_hz": rate_hz,
+            **{name: total / number for name, total in sums.items()}}  # fmt: skip
 
 
 def _refuse_cut(path: Path, frames: int) -> None:

@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,6 +14,9 @@ from thermorender.cli.workers import Cluster
 from thermorender.errors import ThermorenderError
 from thermorender.learned.networks.recipes import RECIPES
 from thermorender.numbers import parse_numbers, parse_scale
+
+if TYPE_CHECKING:
+    from thermorender.learned.temperature_map import TemperatureMap
 
 MAPS = ", ".join((*defaults.TEMPERATURE_MAPS, *defaults.TRAINED_MAPS))
 
@@ -233,9 +236,9 @@ def _train_temperature(
     run: Path | None, resume: bool,
 ) -> None:  # fmt: skip
     """Train a map from colour to temperature, and print its error."""
-    from thermorender.apps.training.audit import memory_of_validation
+    from thermorender.apps.training.audit import memory_of
     from thermorender.apps.training.dataset import read_dataset
-    from thermorender.apps.training.map_training import train_map
+    from thermorender.apps.training.map_training import held_out, train_map
     from thermorender.apps.training.splits import read_split
     from thermorender.apps.training.training_methods import method as known
     from thermorender.learned.temperature_map import save_map
@@ -257,16 +260,26 @@ def _train_temperature(
         if os.environ.get("RANK", "0") != "0":
             return
         save_map(model, output)
-        memory = memory_of_validation(pairs, report) if model.error_k is not None else None
+        tests = held_out(pairs, pairs.of("train", "validation"), known(method).long)
+        memory = memory_of(tests, report) if model.error_k is not None else None
     typer.echo(str(model))
     training = model.about["training"]
     if training.get("stopped"):
         typer.echo(f"warning: {training['stopped']}; the map is the best state before", err=True)
-    own = f", own error {model.error_k:.2f} K on validation" if model.error_k is not None else ""
+    own = _error_in_words(model)
     warn(memory)
     kept = training.get("kept_mk")
     cost = f"; its weights as the file keeps them change it by {kept:.2g} mK" if kept is not None else ""
     typer.echo(f"{output}: trained in {model.about['training_s']:g} s{own}{cost}")
+
+
+def _error_in_words(model: "TemperatureMap") -> str:
+    """A trained map's own error, and what it was measured on."""
+    if model.error_k is None:
+        return ", own error unknown: no sequence could be left out"
+    on = model.about["error_on"]
+    how = f", cross-validated in {on['folds']} folds" if on["folds"] > 1 else " left out"
+    return f", own error {model.error_k:.2f} K on {on['pairs']} pairs{how}"
 
 
 def _train_emissivity(
@@ -318,6 +331,10 @@ def translate(
         float | None, typer.Option(help="Ground sampling distance of the images [m]. Default: the map's own.")
     ] = None,
     range_c: Annotated[str | None, typer.Option(help="COLD,WARM: °C of intensity 0 and 1 of the map.")] = None,
+    anchor: Annotated[
+        str | None, typer.Option(help="Level for another hour: air=KELVIN, or a .csv of known temperatures, column, "
+                                 "row, kelvin; two or more set the span too."),
+    ] = None,
     palette: Annotated[str, typer.Option(help="white-hot, black-hot or ironbow.")] = "white-hot",
     frames: Annotated[bool, typer.Option("--frames", help="Write the frames of videos too.")] = False,
     audit: Annotated[
@@ -327,6 +344,7 @@ def translate(
     resume: Annotated[bool, typer.Option("--resume", help="Continue a stopped run.")] = False,
 ) -> None:  # fmt: skip
     """Translate photographs and videos into thermal ones with a learned map; temperatures are in kelvin."""
+    from thermorender.apps.training.anchoring import anchor_of
     from thermorender.apps.training.training_pictures import search_in_files
     from thermorender.apps.training.translate import translate as run
     from thermorender.learned.temperature_map import load_model
@@ -334,7 +352,8 @@ def translate(
     limits = parse_numbers("--range-c", range_c, ("COLD", "WARM")) if range_c else None
     with progress() as report:
         chosen = load_model(model, limits)
-        summary = run(chosen, images, output, texel_m, palette, frames, resume, report)
+        line = None if anchor is None else anchor_of(anchor, chosen, images, texel_m)
+        summary = run(chosen, images, output, texel_m, palette, frames, resume, report, line)
         seen = search_in_files(chosen, images, lambda share: report("audit", share)) if audit else None
     for sentence in summary["warnings"]:
         typer.echo(f"warning: {sentence}", err=True)
@@ -346,5 +365,9 @@ def translate(
     counted += [f"{summary['passed over']} done before"] if summary["passed over"] else []
     counted += [f"{len(summary['failed'])} failed"] if summary["failed"] else []
     typer.echo(f"{', '.join(counted)}, in {output}")
+    if line is not None:
+        typer.echo(f"anchor: temperatures are {line.span:.2f} times those of the map {line.offset_k:+.1f} K")
+    for sentence in summary["notes"]:
+        typer.echo(sentence)
     if summary["failed"]:
         raise typer.Exit(2)

@@ -1,0 +1,121 @@
+"""The MapAnchor that an option states: `air=KELVIN`, or a CSV of known temperatures of pixels.
+
+Columns of the CSV are `column`, `row`, `kelvin` and, with several pictures, `picture`, a file's name. Pixels count from
+0 at the upper left, and temperatures are apparent ones, such as of water or a matt marker. One MapAnchor holds for all
+pictures, so these should be of one hour and weather, and without sky. Of a video the first frame is meant.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from thermorender import files
+from thermorender.apps.training.translate import VIDEOS, Translation, read_picture, sources_of
+from thermorender.errors import ThermorenderError
+from thermorender.learned.anchor import MapAnchor, anchored_to_air, anchored_to_known
+from thermorender.learned.temperature_map import TemperatureMap
+from thermorender.sensor.radiometric_files import TLINEAR_STEP_K
+from thermorender.trajectory.tables import rows_of
+from thermorender.units import kelvin
+
+_COLUMNS = ("column", "row", "kelvin")
+# Most pictures that the level of a map is taken from, evenly spaced.
+_MOST = 20
+_WANTED = "give air=KELVIN, such as air=288.2, or a .csv with the columns column, row, kelvin"
+
+
+def anchor_of(
+    text: str, model: TemperatureMap, paths: Sequence[files.PathLike], texel_m: float | None = None
+) -> MapAnchor:
+    """Return the MapAnchor of a text for pictures and videos, or folders of them, as `translate` takes them."""
+    name, equals, value = text.partition("=")
+    if equals and name.strip() == "air":
+        try:
+            air_k = float(value.strip().removesuffix("K"))
+        except ValueError:
+            raise ThermorenderError(f"anchor={text!r}: {value!r} is not a number; {_WANTED}") from None
+        air_k = kelvin(f"anchor={text!r}: air", air_k)
+        # Refused before pictures are read.
+        anchored_to_air(model, air_k, air_k, 0.0)
+        sources = sources_of(paths)
+        some = [sources[k] for k in np.unique(np.linspace(0, len(sources) - 1, min(_MOST, len(sources))).astype(int))]
+        maps = [_mapped(each, model, texel_m) for each in some]
+        return anchored_to_air(model, air_k, float(np.concatenate([each[each > 0.0] for each in maps]).mean()),
+                               _spread(maps))  # fmt: skip
+    if not text.endswith(".csv"):
+        raise ThermorenderError(f"anchor={text!r} is not known; {_WANTED}")
+    return _known_anchor(Path(text), model, sources_of(paths), texel_m)
+
+
+def _known_anchor(path: Path, model: TemperatureMap, sources: Sequence[Path], texel_m: float | None) -> MapAnchor:
+    """The MapAnchor of a CSV's known temperatures."""
+    mapped, known, maps = [], [], []
+    for source, rows in _by_picture(path, sources).items():
+        found = _mapped(source, model, texel_m)
+        for where, (column, row, value) in rows:
+            height, width = found.shape
+            if not (0 <= column < width and 0 <= row < height):
+                raise ThermorenderError(
+                    f"{where}: column={column}, row={row} is outside of {source.name}; give 0…{width - 1} and "
+                    f"0…{height - 1}"
+                )
+            if not found[row, column]:
+                raise ThermorenderError(f"{where}: the map has no temperature there; take another pixel")
+            mapped.append(found[row, column])
+            known.append(value)
+        maps.append(found)
+    return anchored_to_known(model, np.array(known), np.array(mapped), _spread(maps))
+
+
+def _mapped(source: Path, model: TemperatureMap, texel_m: float | None) -> np.ndarray:
+    """Temperatures of a picture by a map, (h, w) float64 [K]; 0 where there is none."""
+    picture, opaque = _first_frame(source) if source.suffix.lower() in VIDEOS else read_picture(source)
+    counts, _ = Translation(model, texel_m).translated(picture, opaque)
+    return counts * TLINEAR_STEP_K
+
+
+def _spread(maps: Sequence[np.ndarray]) -> float:
+    """Root mean square of the standard deviations within pictures' temperatures, each (h, w) [K]."""
+    return float(np.sqrt(np.mean([found[found > 0.0].var() if found.any() else 0.0 for found in maps])))
+
+
+def _by_picture(path: Path, sources: Sequence[Path]) -> dict[Path, list[tuple[str, tuple[int, int, float]]]]:
+    """{picture: [(file and row for messages, (column, row, kelvin)), …]} of a CSV."""
+    head, rows = rows_of(path)
+    if any(name not in head for name in _COLUMNS):
+        raise ThermorenderError(f"{path} has the columns {', '.join(head)}; give {', '.join(_COLUMNS)}")
+    if "picture" not in head and len(sources) > 1:
+        raise ThermorenderError(
+            f"{path} has no column 'picture', and {len(sources)} pictures are translated; add that column with their "
+            "file names, or translate one picture"
+        )
+    names = {source.name: source for source in sources}
+    found: dict[Path, list[tuple[str, tuple[int, int, float]]]] = {}
+    for where, row in rows:
+        name = row.get("picture", sources[0].name)
+        if name not in names:
+            raise ThermorenderError(f"{where}: picture={name!r} is not translated; give {', '.join(list(names)[:5])}")
+        numbers = []
+        for column in _COLUMNS:
+            try:
+                numbers.append(float(row[column]))
+            except ValueError:
+                numbers.append(np.nan)
+            if not np.isfinite(numbers[-1]):
+                raise ThermorenderError(f"{where}: {column}={row[column]!r} is not allowed; give a number")
+        known_k = kelvin(f"{where}: kelvin", numbers[2])
+        found.setdefault(names[name], []).append((where, (int(numbers[0] // 1), int(numbers[1] // 1), known_k)))
+    return found
+
+
+def _first_frame(source: Path) -> tuple[np.ndarray, None]:
+    """The first frame of a video, (h, w, 3) uint8, and None."""
+    import cv2
+
+    reader = cv2.VideoCapture(str(source))
+    whole, image = reader.read()
+    reader.release()
+    if not whole:
+        raise ThermorenderError(f"{source} cannot be read as a video; give a whole MP4 or AVI")
+    return np.ascontiguousarray(image[..., ::-1], np.uint8), None
