@@ -211,6 +211,6 @@ def test_method_without_any_temperature_is_named():
     ground = {"me_k": None, "mae_k": None, "sd_k": None, "rmse_k": None, "pixels": 0, "pixels_without_temperature": 9}
     own = {"leaks": [], "circular": [], "true_objects": False, "causes": None, "registered": None,
            "errors": {"radiometric": {"ground": ground}}, "emissivities": {"scene": {}}}  # fmt: skip
-    (found,) = findings.of_method("foreign empty", own)
+    (found,) = findings.of_method("empty", own)
     assert (found["kind"], found["grave"]) == ("empty", True)
     assert findings.grouped([found])[0][0] == "Without temperatures"

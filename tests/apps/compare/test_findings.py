@@ -9,14 +9,17 @@ from thermorender.apps.compare import (
 
 def test_findings_are_grouped_by_kind_and_methods_with_the_same_finding_share_a_line():
     said = [
-        (True, "B m", "leak", "seen"), (False, "C1 m", "offset", "of 1 K"), (False, "C2 m", "emissivity", "too high"),
-        (False, "B m", "offset", "of 2 K"), (False, "C2 n", "emissivity", "too high"),
+        (True, "m on the photograph", "leak", "seen"), (False, "m as kelvin, true materials", "offset", "of 1 K"),
+        (False, "m as kelvin, learned materials", "emissivity", "too high"),
+        (False, "m on the photograph", "offset", "of 2 K"),
+        (False, "n as kelvin, learned materials", "emissivity", "too high"),
     ]  # fmt: skip
     reported = [dict(zip(("grave", "method", "kind", "says"), each, strict=True)) for each in said]
+    both = "m as kelvin, learned materials; n as kelvin, learned materials"
     assert findings.grouped(reported) == [
-        ("Seen in training", True, ["B m: seen"]),
-        ("Offset", False, ["C1 m: of 1 K", "B m: of 2 K"]),
-        ("Wrong emissivity", False, ["C2 m, C2 n: too high"]),
+        ("Seen in training", True, ["m on the photograph: seen"]),
+        ("Offset", False, ["m as kelvin, true materials: of 1 K", "m on the photograph: of 2 K"]),
+        ("Wrong emissivity", False, [f"{both}: too high"]),
     ]
 
 

@@ -97,7 +97,7 @@ class LearnedMap(Method):
     def of(cls, name: str, model: TemperatureMap, privileged: bool = False) -> "LearnedMap":
         """Return a map by the name in tables; a privileged one takes the material as input."""
         knows, kind = ("the material", "privileged") if privileged else (", ".join(model.needs), "map")
-        return cls("", name, knows=knows, model=model, kind=kind)
+        return cls(kind, name, knows=knows, model=model)
 
     def temperature(self, view: View) -> Image:
         """Return its apparent temperature, (H, W) float32 [K]."""
@@ -149,7 +149,7 @@ def baselines(training: TrainingPart) -> list[Method]:
         return None if redrawn is None or view.truth is None else view.truth + (redrawn - view.truth) / np.sqrt(2.0)
 
     return [
-        Method("", name, knows=knows, function=function, kind=kind)
+        Method(kind, name, knows=knows, function=function)
         for name, kind, knows, function in (
             ("constant: mean of the training part", "baseline", "", constant_of_part),
             ("the frame's own mean", "baseline", "the truth's mean", own_mean),
@@ -236,9 +236,9 @@ def _foreign(folders: Mapping[str, str | PathLike[str]], views: PairViews) -> li
     entries = views.dataset.entries
     others = [Foreign.of_pairs(name, Path(place), entries) for name, place in folders.items()]
     return [
-        Method("", each.name if each.scaled else f"{each.name} after its best affine fit",
+        Method("foreign", each.name if each.scaled else f"{each.name} after its best affine fit",
                knows="" if each.scaled else "the truth, by two numbers",
-               function=each.fitted(views).temperature, kind="foreign") for each in others
+               function=each.fitted(views).temperature) for each in others
     ]  # fmt: skip
 
 

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from thermorender.apps.compare.causes import LEAST, SHARE
+from thermorender.apps.compare.methods import A_CONSTANT, FOREIGN, LABELS, MAPPED, TRUE_MATERIALS
 from thermorender.apps.compare.registration import ALIKE
 
 Finding = dict[str, Any]
@@ -37,7 +38,7 @@ def of(summary: dict[str, Any]) -> list[Finding]:
     found = [each for label, own in summary["methods"].items() for each in of_method(label, own)]
     beaten = _beaten(summary)
     if beaten:
-        found.append({"grave": False, "method": "D constant", "kind": "constant", "says": beaten})
+        found.append({"grave": False, "method": A_CONSTANT, "kind": "constant", "says": beaten})
     return sorted(found, key=lambda each: not each["grave"])
 
 
@@ -51,7 +52,7 @@ def grouped(found: list[Finding]) -> list[tuple[str, bool, list[str]]]:
     groups: dict[tuple[str, bool], dict[str, list[str]]] = {}
     for each in found:
         groups.setdefault((each["kind"], each["grave"]), {}).setdefault(each["says"], []).append(each["method"])
-    return [(_TITLES[kind], grave, [f"{', '.join(labels)}: {says}" for says, labels in lines.items()])
+    return [(_TITLES[kind], grave, [f"{'; '.join(labels)}: {says}" for says, labels in lines.items()])
             for (kind, grave), lines in groups.items()]  # fmt: skip
 
 
@@ -111,7 +112,7 @@ def _cause(own: dict[str, Any], cause: dict[str, Any]) -> Said:
                f"it shows {gain:.2f} of the reference's contrast (standard error {error[0]:.2f})")  # fmt: skip
     elif kind == "shift":
         # Frames rendered here cannot be shifted.
-        if own["letter"] == "foreign":
+        if own["kind"] == FOREIGN:
             yield kind, (f"its pictures are shifted by {size[0]:+.1f} px to the right and {size[1]:+.1f} px down "
                          f"against the reference (standard error {max(error):.2f} px)")  # fmt: skip
     elif kind == "blur":
@@ -137,7 +138,7 @@ def _material(own: dict[str, Any], kind: str, name: str, size: float, error: flo
 def _elsewhere(own: dict[str, Any]) -> Said:
     """Yield whether the pictures of another program are mirrored or show other poses."""
     shift = own["structure"]["shift"]
-    if own["letter"] != "foreign" or own["gain"] is None or (shift and abs(shift["correlation"]) >= ALIKE):
+    if own["kind"] != FOREIGN or own["gain"] is None or (shift and abs(shift["correlation"]) >= ALIKE):
         return
     height = own["likeness"]["mirrored"]
     name = max(height, key=lambda each: height[each], default=None)
@@ -180,7 +181,7 @@ def _registered(own: dict[str, Any]) -> Said:
     least = [max(_SHIFT_PX, _SURE * error) for error in shift["error_px"] or ()] or [_SINGLE_PX] * 2
     if any(abs(value) >= limit for value, limit in zip(moved, least, strict=True)):
         yield "shift", (f"its pictures are shifted by {moved[0]:+.1f} px to the right and {moved[1]:+.1f} px down "
-                        f"against C1 {own['map']}"
+                        f"against {LABELS[TRUE_MATERIALS].format(own['map'])}"
                         + ("" if shift["error_px"] else " (a single pose, so without a standard error)"))  # fmt: skip
 
 
@@ -189,7 +190,7 @@ def _beaten(summary: dict[str, Any]) -> str:
     worse, limit = [], 0.0
     for label, own in summary["methods"].items():
         more = own["more_than_constant"]
-        hour = own["bounds"] != "own" and own["letter"] in ("B", "C1", "C2", "P")
+        hour = own["bounds"] != "own" and own["kind"] in MAPPED
         if not more or not hour or own["true_objects"] or not more["interval_95"] or not more["interval_95"][0] > 0.0:
             continue
         low, high = more["interval_95"]

@@ -14,7 +14,16 @@ from thermorender.apps.compare.causes import Causes, Fitting
 from thermorender.apps.compare.classes import PixelClasses
 from thermorender.apps.compare.figures import Pictures
 from thermorender.apps.compare.frames import Frames
-from thermorender.apps.compare.methods import OWN, Method
+from thermorender.apps.compare.methods import (
+    BALANCE,
+    FLAT,
+    FOREIGN,
+    OWN,
+    PHOTOGRAPH,
+    PRIVILEGED,
+    TRUE_MATERIALS,
+    Method,
+)
 from thermorender.apps.compare.registration import ALIKE, Appearance, Likeness, Registration, Track, transform
 from thermorender.apps.compare.targets import Targets
 from thermorender.apps.compare.terms import NAMES, terms_of
@@ -79,7 +88,7 @@ class Results:
             if abs(row[1] - row[2]) > _EMISSIVITY * row[0] and row[0] > _SHARE * row[3]
         }
         return {
-            "letter": method.letter, "map": method.name, "bounds": method.bounds, "knows": method.knows,
+            "kind": method.kind, "map": method.name, "bounds": method.bounds, "knows": method.knows,
             "true_objects": method.true_objects,
             "range_c": None if own_range is None else [limit - ZERO_CELSIUS_K for limit in own_range],
             "once_s": self.once_s / max(self.in_scenes, 1),
@@ -154,11 +163,11 @@ class Trial:
         self._reports: dict[str, Any] = {}
 
     def _twins(self) -> dict[str, tuple[Method, Method]]:
-        """Return {map: (its B, its C1)} with the best bounds that both have."""
+        """Return {map: (it on the photograph, as kelvin with true materials)} with the best bounds that both have."""
         rendered = {(each.name, each.bounds): each for each in reversed(self._setup.methods)
-                    if each.letter == "C1" and not each.true_objects}  # fmt: skip
+                    if each.kind == TRUE_MATERIALS and not each.true_objects}  # fmt: skip
         return {each.name: (each, rendered[each.name, each.bounds]) for each in self._setup.methods
-                if each.letter == "B" and (each.name, each.bounds) in rendered}  # fmt: skip
+                if each.kind == PHOTOGRAPH and (each.name, each.bounds) in rendered}  # fmt: skip
 
     def run(self, pictures: Pictures | None, report: Progress, spread: Spread = map) -> None:
         """Score every method at every pose, add the scene's pictures, and render methods through `spread`."""
@@ -202,7 +211,7 @@ class Trial:
                 own.seconds.append(method.clock() - began)
             image = apparent_temperature(radiance, camera.band_um)
             taken[method.label] = Picture(image, *_read(radiance, self._sensor, camera, view.index))
-            if view.truth is not None and method.letter not in ("D", "E"):
+            if view.truth is not None and method.kind not in FLAT:
                 own.gain.add(image[view.ground], view.truth[view.ground])
         return taken
 
@@ -237,14 +246,14 @@ class Trial:
                     ))  # fmt: skip
             spectrum = transform(image, view.known)
             shift = own.appearance.add(spectrum, reference)
-            if own.method.letter == "foreign" and (shift is None or abs(shift[2]) < ALIKE):
+            if own.method.kind == FOREIGN and (shift is None or abs(shift[2]) < ALIKE):
                 own.likeness.add(spectrum, reference, image, (truth, view.visible.mean(axis=-1)), view.known)
-            if not own.method.true_objects and own.method.letter not in ("D", "E"):
+            if not own.method.true_objects and own.method.kind not in FLAT:
                 fitting.add(own.causes, view, image, shift)
             own.targets.add(scene, view, self._objects, image, counts)
 
     def _split(self, view: View, taken: Mapping[str, Picture]) -> None:
-        """Add the shifts and the terms of the differences between B and C1 at a View."""
+        """Add the shifts and the terms of the differences between a map on the photograph and as kelvin at a View."""
         for name, (method, rendered) in self._pairs.items():
             flat, solid = taken[method.label], taken[rendered.label]
             pair = (transform(each.seen, view.known) for each in (flat, solid))
@@ -312,7 +321,7 @@ class Trial:
             "computed": self._computed,
             "assumed_materials": not setup.has_truth or scene.spec.emissivity.source in _ASSUMED,
             "campaign": None if setup.campaign is None else vars(setup.campaign),
-            "plan": setup.reference.plan.as_dict(),
+            "plan": setup.reference.plan.as_dict(), "planned": setup.reference.plan.rows(),
             "terms": pairs, "terms_apart_mk": 1e3 * self._apart, "spectrum": spectrum,
             "steadiness_k": _deviation(self._changes), "maps": self._reports,
             "differences": [{"one": one, "other": other, **sums.summary(row)}
@@ -330,8 +339,8 @@ def _described(setup: Setup, method: Method) -> dict[str, Any]:
     """Return facts of a rendered method's scene: whether it made the truth, and its and the true emissivities."""
     scene, true = method.renderer.scene, setup.reference.scene
     facts: dict[str, Any] = {"circular": [], "emissivities": {}, "report": dict(scene.temperature_state.report)}
-    if setup.has_truth and method.letter != "F":
-        text = provenance.circular(scene, true) if method.letter != "P" else None
+    if setup.has_truth and method.kind != BALANCE:
+        text = provenance.circular(scene, true) if method.kind != PRIVILEGED else None
         facts["circular"] += [text] if text else []
         rows = emissivities.of_scenes(scene, true)
         facts["emissivities"] = {name: row.tolist() for name, row in rows.items()}

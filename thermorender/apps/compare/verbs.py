@@ -48,11 +48,12 @@ def compare(
                      rich_help_panel="maps and files"),
     ] = None,
     methods: Annotated[
-        str, typer.Option(help="Comma-separated: B, maps applied to photographs; C1 and C2, to the orthophoto and "
-                          "rendered with true and with learned materials; D, E, means; F, the heat balance.")
-    ] = "B,C1,C2,D,E,F",
+        str, typer.Option(help="Comma-separated: photograph, maps applied to photographs; true-materials and "
+                          "learned-materials, maps as kelvin of the ground, rendered; constant, per-material, "
+                          "frame-mean, means; balance, the heat balance.")
+    ] = "photograph,true-materials,learned-materials,constant,per-material,frame-mean,balance",
     emissivity: Annotated[
-        str, typer.Option(help="Emissivity map of C2.", rich_help_panel="maps and files")
+        str, typer.Option(help="Emissivity map of the learned materials.", rich_help_panel="maps and files")
     ] = defaults.EMISSIVITY_MAP,
     log: TrajectoryOptions,
     rate_hz: Annotated[float, typer.Option(help="Poses per second of flight.")] = 1.0,
@@ -68,12 +69,12 @@ def compare(
 ) -> None:  # fmt: skip
     """Compare learned 2D translation with the radiometric render of the same poses: a page, a table, pictures."""
     from thermorender.apps.compare import comparison, findings, report
-    from thermorender.apps.compare.methods import check_letters, learned_materials
+    from thermorender.apps.compare.methods import check_kinds, learned_materials
     from thermorender.apps.compare.view import Flight
     from thermorender.apps.training.dataset import read_dataset
 
-    letters = split(methods)
-    check_letters(letters or [""])
+    kinds = split(methods)
+    check_kinds(kinds or [""])
     folders = dict(named(text, "--foreign", "NAME=FOLDER") for text in foreign or ())
     with progress() as advance, spread_over(cluster, output) as spread:
         flights = []
@@ -81,7 +82,7 @@ def compare(
             loaded = situation.load(name)
             flights.append(Flight.of(loaded, log.read(loaded, rate_hz), rate_hz, log.start_s, log.stop_s))
         options = comparison.Options(
-            letters, privileged, folders, [read_dataset(one) for one in dataset or ()],
+            kinds, privileged, folders, [read_dataset(one) for one in dataset or ()],
             learned_materials(emissivity), arrays, seed, {"device": device, **sampling.settings()},
         )  # fmt: skip
         summary = comparison.compare(flights, output, split(models), options, advance, spread)
@@ -176,5 +177,11 @@ def demo(output: Results = Path("out/demo"), device: Device = "auto") -> None:
     if (output / "flight" / "flight.json").exists():
         raise ThermorenderError(f"{output} already holds a demo; give another folder with -o, or remove it")
     fly(defaults.SCENE, output / "flight", rate_hz=4.0, device=device)
-    compare([defaults.SCENE], output / "comparison", methods="B,C1,D", rate_hz=0.2, device=device)
+    compare(
+        [defaults.SCENE],
+        output / "comparison",
+        methods="photograph,true-materials,frame-mean",
+        rate_hz=0.2,
+        device=device,
+    )
     typer.echo(f"look at {output / 'flight' / 'flight.mp4'} and at {output / 'comparison' / 'report.html'}")
