@@ -331,7 +331,8 @@ def _notes_on_errors(scenes: Sequence[dict[str, Any]], totals: Totals) -> list[s
     trained = "; maps called procedural were trained on such scenes"
     trained = trained if any(method.name.startswith("procedural") for method in found) else ""
     return [
-        "Intervals are 95 %, by a bootstrap of poses, of ground blocks or of whole scenes, whichever are widest; "
+        "Intervals are 95 %, by a bootstrap of poses and blocks of ground together, or of whole scenes, if wider. A "
+        "block's side is five correlation lengths of the error; "
         f"{'one land was' if lands == 1 else f'{lands} lands were'} seen.",
         f"A scene of make-scene has temperatures by a heat balance{tables}, with properties drawn from their "
         f"uncertainty and with hidden fields{trained}. Errors that all of them share do not show here.",

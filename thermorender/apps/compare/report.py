@@ -10,6 +10,7 @@ from typing import Any
 
 from thermorender import formats
 from thermorender.apps.compare import figures, findings, methods
+from thermorender.apps.compare.ground_intervals import FEWEST
 from thermorender.apps.compare.methods import CALIBRATED, REFITTED, THERMAL
 from thermorender.apps.compare.registration import ALIKE
 from thermorender.apps.compare.scores import RADIOMETRIC
@@ -21,6 +22,8 @@ Summary = dict[str, Any]
 
 # Longer lists and tables are folded, except grave findings and errors.
 _OPEN = 5
+# Marks an interval that does not converge.
+_MARK = "*"
 _GROUPINGS = ("scene", "surface", "material", "range", "view angle", "edges")
 _OTHERS = "thermal frames of other lands in the same hour and weather"
 _KINDS = {
@@ -120,14 +123,15 @@ def explained(summary: Summary) -> list[tuple[str, str]]:
 
 def terminal(summary: Summary) -> list[Table]:
     """Return the tables for the terminal: errors of methods, and differences where the truth is unknown."""
-    errors = Table(
-        ("method", "mean error [K]", "mean absolute [K]", "95 %", "standard deviation [K]", "RMSE [K]", "pixels"),
-        [(label, number(ground["me_k"], "+.3f", "none"), number(ground["mae_k"], none="none"),
-          interval((ground.get("interval_95") or {}).get("mae_k")), number(ground["sd_k"], none="none"),
-          number(ground["rmse_k"], none="none"), str(ground["pixels"]))
-         for label, ground in ((label, own["errors"][RADIOMETRIC]["ground"])
-                               for label, own in summary["methods"].items() if own["errors"])],
-    )  # fmt: skip
+    rows = []
+    for label, own in _scored(summary).items():
+        ground = own["errors"][RADIOMETRIC]["ground"]
+        ends = interval((ground.get("interval_95") or {}).get("mae_k")) + _MARK * bool(_few(own))
+        rows.append((label, number(ground["me_k"], "+.3f", "none"), number(ground["mae_k"], none="none"), ends,
+                     number(ground["sd_k"], none="none"), number(ground["rmse_k"], none="none"),
+                     str(ground["pixels"])))  # fmt: skip
+    head = ("method", "mean error [K]", "mean absolute [K]", "95 %", "standard deviation [K]", "RMSE [K]", "pixels")
+    errors = Table(head, rows)
     # Differences from the first method of each scene; a single scene is not named.
     scenes = [scene for scene in summary["scenes"] if scene["differences"]]
     apart = Table(
@@ -137,6 +141,27 @@ def terminal(summary: Summary) -> list[Table]:
          for scene in scenes for each in scene["differences"] if each["one"] == scene["differences"][0]["one"]],
     )  # fmt: skip
     return [each for each in (errors, apart) if each.rows]
+
+
+def unconverged(summary: Summary) -> list[str]:
+    """Return sentences on intervals that do not converge, which a star marks."""
+    found: dict[str, list[str]] = {}
+    for label, own in _scored(summary).items():
+        why = _few(own)
+        if why:
+            found.setdefault(why, []).append(label)
+    return [f"{_MARK} {'; '.join(labels)}: the intervals do not converge; {why}." for why, labels in found.items()]
+
+
+def _few(own: Summary) -> str:
+    """Return why a method's intervals on ground do not converge, or nothing."""
+    blocks = own["errors"][RADIOMETRIC]["ground"].get("blocks")
+    if blocks is None or blocks["converged"]:
+        return ""
+    if blocks["count"] < FEWEST:
+        return (f"errors are correlated over {blocks['length_m']:.1f} m, so that the ground seen has the worth of "
+                f"{blocks['count']:.1f} independent blocks; at least {FEWEST} are needed")  # fmt: skip
+    return f"errors differ from pose to pose, and {blocks['poses']} poses were seen; at least {FEWEST} are needed"
 
 
 def _findings(summary: Summary) -> str:
@@ -166,15 +191,15 @@ def _errors(summary: Summary) -> str:
         rows.append({
             "method": label,
             "mean error [K]": number(ground["me_k"], "+.3f"),
-            "95 %": interval(ends["me_k"], "+.2f"),
+            "95 %": interval(ends["me_k"], "+.2f") + _MARK * bool(_few(own)),
             "mean absolute [K]": number(ground["mae_k"]),
-            "95 % ": interval(ends["mae_k"]),
+            "95 % ": interval(ends["mae_k"]) + _MARK * bool(_few(own)),
             "standard deviation [K]": number(ground["sd_k"]),
             "objects [K]": number(own["errors"][RADIOMETRIC].get("objects", {}).get("mae_k")),
             "ms per frame": number(None if seconds is None else 1e3 * seconds, ".1f"),
         })  # fmt: skip
     marked = {k for k, own in enumerate(scored.values()) if own["leaks"] or own["circular"]}
-    return _section("errors", table=_wide(rows, marked).html())
+    return _section("errors", table=_wide(rows, marked).html(), loose=_items(unconverged(summary)))
 
 
 def _details(summary: Summary) -> str:
@@ -193,6 +218,8 @@ def _details(summary: Summary) -> str:
             "scenes": str(own["scenes"]),
             "pixels": number(ground["pixels"], "d"),
             "effective pixels": number(ground.get("effective_pixels"), ".0f"),
+            "correlated over [m]": number((ground.get("blocks") or {}).get("length_m"), ".1f"),
+            "blocks": number((ground.get("blocks") or {}).get("count"), ".1f"),
             "own bounds [°C]": interval(own["range_c"], ".1f"),
             "knows": own["knows"],
         })  # fmt: skip

@@ -14,6 +14,7 @@ from thermorender.apps.compare.causes import Causes, Fitting
 from thermorender.apps.compare.classes import PixelClasses
 from thermorender.apps.compare.figures import Pictures
 from thermorender.apps.compare.frames import Frames
+from thermorender.apps.compare.ground_intervals import side_of
 from thermorender.apps.compare.methods import (
     BALANCE,
     FLAT,
@@ -150,8 +151,7 @@ class Trial:
         self._computed = setup.has_truth and self.scene.balanced
         self._reference = "reference, computed" if self._computed else "reference"
         self._objects = [item.name for item in self.scene.spec.objects]
-        vertices = np.concatenate([s.vertices[:, :2] for s in self.scene.near_ground])
-        self._corners = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+        self._cell_m: float | None = None
         self._pairs = self._twins()
         # Tiles have no radiances of texels, which terms need.
         terms = self._pairs if self.scene.world is None else ()
@@ -231,7 +231,10 @@ class Trial:
         true_counts = self._sensor.counts_at_rest(view.truth_radiance, view.index)
         true_read = apparent_temperature(radiance_from_counts(true_counts, camera), camera.band_um)
         self._totals.targets.add(scene, view, self._objects, truth, true_counts)
-        classes = PixelClasses(view, self._objects, self._corners)
+        if self._cell_m is None and view.ground.any():
+            assert view.position is not None
+            self._cell_m = side_of(view.position[view.ground])
+        classes = PixelClasses(view, self._objects, self._cell_m)
         reference = transform(truth, view.known)
         self._appearance.add(reference, reference)
         for label, (image, counts, read) in taken.items():

@@ -88,6 +88,8 @@ def compare(
         summary = comparison.compare(flights, output, split(models), options, advance, spread)
     for each in report.terminal(summary):
         table(each.head, each.rows)
+    for line in report.unconverged(summary):
+        typer.echo(line)
     for title, grave, lines in findings.grouped(summary["findings"]):
         typer.echo(f"{title}:")
         for line in lines if grave else lines[:3]:
