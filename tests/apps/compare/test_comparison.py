@@ -31,6 +31,7 @@ from thermorender.apps.compare import (
     comparison,
     emissivities,
     figures,
+    findings,
     report,
 )
 from thermorender.apps.compare import view as views
@@ -41,6 +42,7 @@ from thermorender.learned.temperature_map import Inputs, TemperatureMap, load_mo
 from thermorender.output.photograph import photograph
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.sensor.camera import load_camera, model_path
+from validation.referee.plants import zoomed
 
 pytestmark = pytest.mark.usefixtures("short_heat")
 
@@ -62,7 +64,17 @@ def planted(ground, tmp_path_factory):
     text = (other / "scene.toml").read_text()
     # Sand with the emissivity of a bright metal.
     (other / "scene.toml").write_text(text.replace('2 = "sand_quartz"', '2 = "paint_metallic"'))
+    earlier = []
+
+    def late(kelvin, index):
+        earlier.append(kelvin)
+        return earlier[max(index - 1, 0)]
+
     folders = {
+        "late": frames_of(ground, 5, place / "late", late, factor=2),
+        "drifting": frames_of(ground, 5, place / "drifting", lambda kelvin, k: kelvin + 0.5 * (k - 2), factor=2),
+        "zoomed": frames_of(ground, 5, place / "zoomed", lambda kelvin, k: zoomed(kelvin, 0.02), factor=2),
+        "clipped": frames_of(ground, 5, place / "clipped", lambda kelvin, k: np.minimum(kelvin, 293.0), factor=2),
         "true": frames_of(ground, 5, place / "true", factor=2),
         "warm": frames_of(ground, 5, place / "warm", lambda kelvin, k: kelvin + 1.0, factor=2),
         "shifted": frames_of(ground, 5, place / "shifted", lambda kelvin, k: np.roll(kelvin, 2, axis=1), factor=2),
@@ -94,7 +106,7 @@ def test_a_map_that_made_the_ground_has_no_error_and_is_called_circular(tmp_path
     assert f"<li>map as kelvin, true materials: {words}.</li>" in page
     main = page.split("<h2>Errors on ground</h2>")[1].split("</table>")[0]
     heads = re.findall("<th(?: class=words)?>([^<]*)</th>", main)
-    assert len(heads) == 8 and "[K]" in main and "error [°C]" not in main
+    assert len(heads) == 9 and "[K]" in main and "error [°C]" not in main
     # Short words, so that heads that wrap leave room for all columns on a page of 1280 pixels.
     assert max(len(word) for head in heads for word in head.split()) <= 9 and main.startswith("<div class=wide><table>")
     assert json.loads((tmp_path / "c/comparison.json").read_text())["methods"].keys() == found["methods"].keys()
@@ -148,6 +160,23 @@ def test_frames_without_a_fault_have_no_findings(planted):
 def test_a_bias_of_one_kelvin_is_found(planted):
     (finding,) = [each for each in planted["findings"] if each["method"] == "warm"]
     assert finding["kind"] == "offset" and "offset of +1.00 K" in finding["says"]
+
+
+def test_faults_that_vary_by_pose_or_grow_to_the_edge_or_with_temperature_are_found(planted):
+    for name, kind, words in (
+        ("late", "order", "its frames are late by 1 pose"), ("zoomed", "zoom", "its field of view is wrong by -2.0%"),
+        ("drifting", "drift", "about its mean over the flight"),
+        ("clipped", "clipping", "clipped above 293.0 K"),
+    ):  # fmt: skip
+        (finding,) = [each for each in planted["findings"] if each["method"] == name]
+        assert finding["kind"] == kind and words in finding["says"], finding
+        # What is named explains the error, so it is not in the headline.
+        assert not any(line.startswith(f"{name}:") for line in findings.headline(planted)), name
+        rmse_k = errors(planted, name)["rmse_k"]
+        assert rmse_k > 0.3 and findings.unexplained(planted["methods"][name]) < 0.1
+    (drift,) = planted["methods"]["drifting"]["causes"]["named"]
+    # Four of the five poses are fitted.
+    assert np.diff(drift["size"]) == pytest.approx([0.5, 1.0, 0.5], abs=0.05)
 
 
 def test_a_shift_of_two_pixels_is_found(planted):
@@ -304,8 +333,8 @@ def test_a_scene_without_truth_prints_differences_and_that_nothing_was_checked(g
     assert pair["me_k"] > 1.0
     assert head.index("mean difference") == row.index("+") and scene["assumed_materials"]
     page = (tmp_path / "c/report.html").read_text()
-    assert rest == "Without a truth, no error could be checked." and f"<p>{rest}</p>" in page
-    assert "Nothing unusual" not in page and "1 scene, 1 pose, 2 methods." in page and last.startswith("report.html")
+    assert rest == "Without a truth, no error could be checked." and f"<p class=first>{rest}</p>" in page
+    assert "nothing unusual" not in page and "1 scene, 1 pose, 2 methods." in page and last.startswith("report.html")
     # No errors to show, and no word on absent methods.
     assert "<option value=error>" not in page and "<li>map as kelvin" not in page and "<li>the frame" not in page
 

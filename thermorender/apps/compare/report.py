@@ -169,8 +169,11 @@ def _findings(summary: Summary) -> str:
     for title, grave, lines in findings.grouped(summary["findings"]):
         rows = "".join(f"<li class={'grave' if grave else 'plain'}>{text(line)}</li>" for line in lines)
         lists.append(_folded(title, len(lines), f"<ul>{rows}</ul>", grave))
-    rest = findings.nothing(summary)
-    return _section("findings", lists="".join(lists), rest=f"<p>{text(rest)}</p>" if rest else "")
+    lines = findings.headline(summary)
+    rest = "".join(f"<p class=first>{text(line)}</p>" for line in lines[:1])
+    if len(lines) > 1:
+        rest += _folded("Unexplained errors of the other methods", len(lines) - 1, f"<ul>{_items(lines[1:])}</ul>")
+    return _section("findings", lists="".join(lists), headline=rest)
 
 
 def _scored(summary: Summary) -> dict[str, Summary]:
@@ -195,6 +198,7 @@ def _errors(summary: Summary) -> str:
             "mean absolute [K]": number(ground["mae_k"]),
             "95 % ": interval(ends["mae_k"]) + _MARK * bool(_few(own)),
             "standard deviation [K]": number(ground["sd_k"]),
+            "without cause [K]": number(findings.unexplained(own)),
             "objects [K]": number(own["errors"][RADIOMETRIC].get("objects", {}).get("mae_k")),
             "ms per frame": number(None if seconds is None else 1e3 * seconds, ".1f"),
         })  # fmt: skip

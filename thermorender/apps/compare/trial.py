@@ -9,10 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.apps.compare import emissivities, provenance, scores, sums
+from thermorender.apps.compare import emissivities, findings, provenance, scores, sums
 from thermorender.apps.compare.causes import Causes, Fitting
-from thermorender.apps.compare.classes import PixelClasses
+from thermorender.apps.compare.classes import GROUND, PixelClasses
 from thermorender.apps.compare.figures import Pictures
+from thermorender.apps.compare.frame_order import FrameOrder
 from thermorender.apps.compare.frames import Frames
 from thermorender.apps.compare.ground_intervals import side_of
 from thermorender.apps.compare.methods import (
@@ -67,6 +68,7 @@ class Results:
     causes: Causes = field(default_factory=Causes)  # Fits of some poses
     # Of the poses of another program that look unlike the reference
     likeness: Likeness = field(default_factory=Likeness)
+    order: list[dict[str, Any]] = field(default_factory=list)  # Scenes in which its frames show other poses
     gain: scores.Gain = field(default_factory=scores.Gain)
     # For a rendered method, as `emissivities.of_scenes` returns them
     scene_emissivities: dict[str, NDArray[np.float64]] = field(default_factory=dict)
@@ -81,7 +83,8 @@ class Results:
 
     def summary(self, origin: provenance.Provenance | None, seed: int) -> dict[str, Any]:
         """Return the results as plain numbers, with a map's Provenance and intervals of a seed."""
-        method, scored = self.method, bool(self.tally.views)
+        method, errors = self.method, self.tally.summary(seed) if self.tally.views else None
+        ends = errors[scores.RADIOMETRIC][GROUND].get("interval_95", {}).get("me_k") if errors else None
         own_range = method.model.range_k if method.model and method.bounds == OWN else None
         wrong = {
             name: {"share": row[0] / row[3], "used": row[1] / row[0], "true": row[2] / row[0]}
@@ -94,12 +97,11 @@ class Results:
             "range_c": None if own_range is None else [limit - ZERO_CELSIUS_K for limit in own_range],
             "once_s": self.once_s / max(self.in_scenes, 1),
             "scenes": len({name for _, grouping, name in self.tally.groups if grouping == "scene"}),
-            "errors": self.tally.summary(seed) if scored else None,
-            "groups": self.tally.grouped() if scored else {},
+            "errors": errors, "groups": self.tally.grouped() if errors else {},
             "targets": self.targets.summary(), "structure": self.appearance.summary(), "gain": self.gain.summary(),
             "registered": self.registered.summary(),
-            "causes": self.causes.summary(), "emissivities": {"scene": wrong},
-            "likeness": self.likeness.summary(),
+            "causes": self.causes.summary(partial(findings.said, method.kind, ends)), "emissivities": {"scene": wrong},
+            "likeness": self.likeness.summary(), "order": self.order,
             "steadiness_k": _deviation(self.changes),
             "seconds_per_frame": float(np.median(self.seconds)) if self.seconds else None,
             "training_s": None if origin is None else origin.header["training_s"],
@@ -158,6 +160,7 @@ class Trial:
         self._terms = {name: np.zeros((len(NAMES) + 1, sums.WIDTH)) for name in terms}
         self._apart = 0.0
         self._appearance, self._changes = Appearance(), np.zeros(3)
+        self._orders = {each.label: FrameOrder() for each in setup.methods if each.kind == FOREIGN}
         self.photographs: list[NDArray[np.uint8]] = []
         self._between_methods: dict[tuple[str, str], NDArray[np.float64]] = {}
         self._reports: dict[str, Any] = {}
@@ -195,6 +198,9 @@ class Trial:
             if self._arrays is not None:
                 self._keep(self._arrays / "arrays", view, seen)
             before = view, taken
+        for label, order in self._orders.items():
+            found = order.summary()
+            self._results[label].order += [] if found is None else [{"scene": self.scene.name, **found}]
 
     def _taken(self, view: View) -> dict[str, Picture]:
         """Return {label: Picture} of a View."""
@@ -252,7 +258,9 @@ class Trial:
             if own.method.kind == FOREIGN and (shift is None or abs(shift[2]) < ALIKE):
                 own.likeness.add(spectrum, reference, image, (truth, view.visible.mean(axis=-1)), view.known)
             if not own.method.true_objects and own.method.kind not in FLAT:
-                fitting.add(own.causes, view, image, shift)
+                fitting.add(own.causes, view, image, shift, own.method.kind == FOREIGN)
+            if label in self._orders:
+                self._orders[label].add(image, truth, view.known)
             own.targets.add(scene, view, self._objects, image, counts)
 
     def _split(self, view: View, taken: Mapping[str, Picture]) -> None:

@@ -90,15 +90,17 @@ def compare(
         table(each.head, each.rows)
     for line in report.unconverged(summary):
         typer.echo(line)
+    unexplained = findings.headline(summary)
+    for line in unexplained[:3]:
+        typer.echo(line)
+    if len(unexplained) > 3:
+        typer.echo(f"and {len(unexplained) - 3} more in report.html")
     for title, grave, lines in findings.grouped(summary["findings"]):
         typer.echo(f"{title}:")
         for line in lines if grave else lines[:3]:
             typer.echo(f"  {line}")
         if not grave and len(lines) > 3:
             typer.echo(f"  and {len(lines) - 3} more in report.html")
-    rest = findings.nothing(summary)
-    if rest:
-        typer.echo(rest)
     typer.echo(f"report.html, pixels.csv, comparison.json and pictures in {output}")
 
 
