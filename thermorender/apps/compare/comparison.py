@@ -7,7 +7,7 @@ reference, renders the frames of each method, and scores all methods with the sa
 import csv
 import shutil
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
@@ -263,19 +263,17 @@ def _summary(
 
 
 def _origins(
-    models: Iterable[TemperatureMap],
+    models: Sequence[TemperatureMap],
     known: Sequence[provenance.TrainingPictures],
     photographs: Mapping[str, Sequence[NDArray[np.uint8]]],
 ) -> dict[str, provenance.Provenance]:
     """Return {map: Provenance}, audited against the available training pictures."""
-    found = {}
+    found = {model.name: provenance.provenance_of(model) for model in models}
+    provenance.search_fingerprints(list(found.values()), models, photographs)
     for model in models:
-        own = provenance.provenance_of(model)
-        provenance.search_fingerprints(own, model, photographs)
         pictures = provenance.matched(known, model)
         if pictures is not None:
-            pictures.audit(own, photographs)
-        found[model.name] = own
+            pictures.audit(found[model.name], photographs)
     return found
 
 

@@ -145,6 +145,9 @@ def evaluate(
     part: Annotated[str, typer.Option(help="train, validation or test.")] = "test",
     limit: Annotated[int | None, typer.Option(help="Number of pairs to score, evenly spaced.", min=1)] = None,
     seed: Annotated[int, typer.Option(help="Seed of the bootstrap.", min=0)] = 0,
+    leaks: Annotated[
+        bool, typer.Option("--leaks/--no-leaks", help="Search the pictures for those of training; kept for later runs.")
+    ] = True,
     cluster: Cluster = None,
 ) -> None:
     """Print errors of learned maps on a data set, in kelvin, with simple methods and the least possible error."""
@@ -162,7 +165,7 @@ def evaluate(
     with progress() as advance, spread_over(cluster, output) as spread:
         data = read_dataset(dataset)
         result = evaluation.evaluate(
-            data, models, output, privileged, folders, parts, part, limit, seed, advance, spread
+            data, models, output, privileged, folders, parts, part, limit, seed, advance, spread, leaks
         )
     for line in evaluation_report.lines_before(result):
         typer.echo(line)
