@@ -924,6 +924,8 @@ def test_compare_names_the_wrong_option(scene, refused):
     change(scene / "scene.toml", "[camera]", '[truth]\ntemperature = "temperature.tif"\n[camera]')
     refused("learned map 'x' is unknown", "compare", scene, "--models", "x", *QUICK)
     refused("models is empty", "compare", scene, "--models", ",", *QUICK)
+    refused("--run-time='fok-1to1=0' is not allowed", "compare", scene, "--run-time", "fok-1to1=0", *QUICK)
+    refused("--run-time='fok-1to1' is not allowed; give NAME=MS", "compare", scene, "--run-time", "fok-1to1", *QUICK)
     refused(
         "--methods='photograph,G' is not allowed; give some of photograph, true-m",
         "compare",

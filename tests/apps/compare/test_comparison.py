@@ -83,7 +83,8 @@ def planted(ground, tmp_path_factory):
     flown = flight(ground, poses=5, factor=2)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(figures, "error_images", lambda *_: None)
-        return compare([flown], place / "c", [], Options(foreign=folders, arrays=True, settings={"rays": 8}))
+        options = Options(foreign=folders, times_s={"true": 0.05, "warm": 0.4}, arrays=True, settings={"rays": 8})
+        return compare([flown], place / "c", [], options)
 
 
 def test_a_map_that_made_the_ground_has_no_error_and_is_called_circular(tmp_path):
@@ -177,6 +178,15 @@ def test_faults_that_vary_by_pose_or_grow_to_the_edge_or_with_temperature_are_fo
     (drift,) = planted["methods"]["drifting"]["causes"]["named"]
     # Four of the five poses are fitted.
     assert np.diff(drift["size"]) == pytest.approx([0.5, 1.0, 0.5], abs=0.05)
+
+
+def test_run_times_of_other_programs_are_those_given(planted):
+    times = {name: planted["methods"][name]["seconds_per_frame"] for name in ("true", "warm", "late")}
+    assert times == {"true": 0.05, "warm": 0.4, "late": None}
+    drawing = figures.error_and_time(planted)
+    (axis,) = drawing.axes
+    drawn = {round(float(x), 6) for line in axis.lines for x in line.get_xdata()}
+    assert {50.0, 400.0} <= drawn and axis.get_xlabel() == "run time [ms per frame]"
 
 
 def test_a_shift_of_two_pixels_is_found(planted):
@@ -369,6 +379,12 @@ def test_refusals_leave_nothing_behind(ground, tmp_path):
         ("models is empty", [one], [], {}),
         ("two scenes are called 'ground'", [one, one], [level], {}),
         ("two methods are called 'level'", [one], [level, level], {}),
+        (
+            "run_time='other' is neither a map nor another program; give level",
+            [one],
+            [level],
+            {"times_s": {"other": 1.0}},
+        ),
         ("is not a folder", [one], [], {"foreign": {"theirs": tmp_path / "none"}}),
         ("lacks pose_0000.tif for scene 'ground'", [one], [], {"foreign": {"theirs": tmp_path}}),
     ):

@@ -51,6 +51,8 @@ class Options:
     privileged: str | None = None  # File of a map that also takes the material as input
     # Folders of other programs' frames, by name
     foreign: Mapping[str, str | PathLike[str]] = field(default_factory=dict)
+    # Run time of a frame [s] of foreign programs and of maps on the photograph, by name, in place of that measured here
+    times_s: Mapping[str, float] = field(default_factory=dict)
     # Training data of the maps, in which the scenes' photographs are searched
     datasets: Sequence[Dataset] = ()
     emissivity: EmissivitySpec = field(default_factory=methods.learned_materials)  # Learned materials
@@ -129,7 +131,7 @@ def compare(
             campaign = training.training_of(thermal, thermals, flight.scene.camera)
             setup, left_out = _setup(number, flight, land, campaign, contestants, options, work, own_report)
             notes += left_out
-            trial = Trial(setup, totals, options.seed, draft if options.arrays else None)
+            trial = Trial(setup, totals, options.seed, draft if options.arrays else None, options.times_s)
             trial.run(pictures, own_report, spread)
             scenes.append(trial.summary())
             photographs[flight.scene.name] = trial.photographs
@@ -169,6 +171,10 @@ def _contestants(flights: Sequence[Flight], models: Sequence[str], options: Opti
     loaded = _Contestants(maps, privileged, [])
     _check_names([*(model.name for model in loaded.models), *options.foreign], "methods",
                  "maps, the privileged map and foreign frames different names")  # fmt: skip
+    known = [*(model.name for _, model in maps), *options.foreign]
+    for name in options.times_s:
+        if name not in known:
+            raise ThermorenderError(f"run_time={name!r} is neither a map nor another program; give {', '.join(known)}")
     for flight in flights:
         scene, camera = flight.scene, flight.scene.camera
         loaded.foreign.append([

@@ -253,8 +253,8 @@ def _pictures(views: Sequence[dict[str, Any]]) -> str:
 def _figures(summary: Summary, beside: Path) -> str:
     drawn = (
         ("error-and-time", figures.error_and_time(summary),
-         "Error against run time of a frame on the machine named below, without training and without the time that a "
-         "rendered scene needs once."),
+         "Error against run time of a frame, without training and without the time that a rendered scene needs once: "
+         "as given, else on the machine named below. Frames of other programs without a given time are left out."),
         ("spectra", figures.spectra(summary),
          "Power spectra of the frames' central squares: a method below the reference blurs, one above it invents "
          "structure."),

@@ -4,6 +4,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -136,11 +137,18 @@ class Trial:
     """All methods of one scene at all of its poses; results are added to `totals`.
 
     `seed` is that of the sensor's noise, `arrays` the folder of frames; `photographs` (H, W, 3) are searched for
-    training pictures.
+    training pictures. `times_s` are run times of frames that others measured, by name of the map or program [s].
     """
 
-    def __init__(self, setup: Setup, totals: Totals, seed: int, arrays: Path | None) -> None:
-        self._setup, self._totals, self._arrays = setup, totals, arrays
+    def __init__(
+        self,
+        setup: Setup,
+        totals: Totals,
+        seed: int,
+        arrays: Path | None,
+        times_s: Mapping[str, float] = MappingProxyType({}),
+    ) -> None:
+        self._setup, self._totals, self._arrays, self._times_s = setup, totals, arrays, times_s
         self.scene: Scene = setup.reference.scene
         self._sensor = sensor_of(self.scene.camera, seed)
         self._results: dict[str, Results] = {}
@@ -214,7 +222,12 @@ class Trial:
             else:
                 began = method.clock()
                 radiance = method.radiance(view)
-                own.seconds.append(method.clock() - began)
+                spent = method.clock() - began
+                if method.kind in (FOREIGN, PHOTOGRAPH) and method.name in self._times_s:
+                    own.seconds.append(self._times_s[method.name])
+                elif method.kind != FOREIGN:
+                    # The time to read another program's frame is not its own.
+                    own.seconds.append(spent)
             image = apparent_temperature(radiance, camera.band_um)
             taken[method.label] = Picture(image, *_read(radiance, self._sensor, camera, view.index))
             if view.truth is not None and method.kind not in FLAT:

@@ -1,5 +1,6 @@
 """Verbs that compare: translation with the render, maps with a data set, a frame with the cost of its rays."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
 
@@ -20,6 +21,7 @@ from thermorender.cli.options import (
 from thermorender.cli.terminal import NewResults, Results, Time, at_time, named, output_option, progress, split, table
 from thermorender.cli.workers import Cluster, spread_over
 from thermorender.errors import ThermorenderError
+from thermorender.numbers import parse_numbers
 
 
 @flat
@@ -41,6 +43,11 @@ def compare(
         list[str] | None,
         typer.Option(help="NAME=FOLDER with another program's frames, pose_0000.tif and so on, TIFFs that declare "
                      "their unit; for several scenes in folders of the scenes' names. Repeat for more."),
+    ] = None,
+    run_time: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=MS: your own run time of a frame, of another program or of a map on the photograph. "
+                     "Repeat for more.", rich_help_panel="maps and files"),
     ] = None,
     dataset: Annotated[
         list[Path] | None,
@@ -82,7 +89,7 @@ def compare(
             loaded = situation.load(name)
             flights.append(Flight.of(loaded, log.read(loaded, rate_hz), rate_hz, log.start_s, log.stop_s))
         options = comparison.Options(
-            kinds, privileged, folders, [read_dataset(one) for one in dataset or ()],
+            kinds, privileged, folders, _times_s(run_time or ()), [read_dataset(one) for one in dataset or ()],
             learned_materials(emissivity), arrays, seed, {"device": device, **sampling.settings()},
         )  # fmt: skip
         summary = comparison.compare(flights, output, split(models), options, advance, spread)
@@ -102,6 +109,18 @@ def compare(
         if not grave and len(lines) > 3:
             typer.echo(f"  and {len(lines) - 3} more in report.html")
     typer.echo(f"report.html, pixels.csv, comparison.json and pictures in {output}")
+
+
+def _times_s(given: Iterable[str]) -> dict[str, float]:
+    """Return {name: seconds} of NAME=MS."""
+    found = {}
+    for text in given:
+        name, value = named(text, "--run-time", "NAME=MS")
+        (milliseconds,) = parse_numbers("--run-time", value, ("MS",))
+        if not milliseconds > 0.0:
+            raise ThermorenderError(f"--run-time={text!r} is not allowed; give a time above 0 ms")
+        found[name] = 1e-3 * milliseconds
+    return found
 
 
 def bench(
