@@ -13,6 +13,8 @@ from thermorender.physics.planck import band_radiance, brightness_temperature
 
 # Noise of the camera in frames with a fault [K], and a smooth error of this size [K] and length [px].
 _NOISE_K, _SMOOTH_K, _LENGTH_PX = 0.05, 0.1, 8.0
+# A map of less than this share of the reference's contrast is called one of almost no contrast.
+_FLAT = 0.2
 _MAPS = ("fok-1to1", "procedural-palette", "procedural-trees")
 
 
@@ -125,7 +127,8 @@ def _by_pose(true, ground, about, plant):
 def innocent(views, band_um, rng):
     """Return {name: Frame} with errors that have no cause to name: noise, and maps of the photograph.
 
-    Maps are calibrated by a line through this land's own temperatures; a grey picture gets their distribution.
+    Maps are calibrated by a line through this land's own temperatures; a grey picture gets their distribution. A map
+    that then shows less than `_FLAT` of the contrast has a cause, a wrong contrast, and is planted so.
     """
     true, grounds = [_filled(view) for view in views], [_ground(view) for view in views]
     ground = np.concatenate([kelvin[here] for kelvin, here in zip(true, grounds, strict=True)])
@@ -171,7 +174,14 @@ def innocent(views, band_um, rng):
             rest = 0.5 * (zero + slope * image - kelvin)
             less, nought = _line(kelvin[here], rest[here])
             found[f"{name}, error without contrast"].append(kelvin + rest - nought - less * kelvin)
-    return {name: Frame(kelvin) for name, kelvin in found.items()}
+    frames = {}
+    for name, kelvin in found.items():
+        gain, _ = _line(ground, of_ground(kelvin))
+        changes = of_ground([one - own for one, own in zip(kelvin, true, strict=True)])
+        flat = gain < _FLAT
+        frames[name] = Frame(kelvin, {"contrast": gain - 1.0} if flat else {},
+                             float(np.sqrt(np.mean(changes**2))) if flat else 0.0)  # fmt: skip
+    return frames
 
 
 def _noise(rng, shape):

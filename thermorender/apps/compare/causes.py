@@ -380,7 +380,27 @@ class _Pooled:
         if known <= 0.0:
             return False
         other, wide = (1.0 + size) / known, error / known
-        return size > 0.0 or other < 1.0 - max(LEAST["contrast"], self._quantile() * wide)
+        limit = 1.0 - max(LEAST["contrast"], self._quantile() * wide)
+        drifts = self._drift_k2 >= self._causes.share * (self._drift_k2 + self._residual(chosen))
+        # A line through all poses also tells the scale by their means, unless their offsets are a cause of their own.
+        return size > 0.0 or (other < limit and (drifts or self._pooled_scale < limit))
+
+    @cached_property
+    def _pooled_scale(self) -> float:
+        """The inverse slope of the reference on the picture over all poses, with the means of the poses."""
+        key = next(iter(self._sums)) if (False, False, False) not in self._sums else (False, False, False)
+        matrix, right, square = self._sums[key]
+        drift = self._drift[self._pose]
+        mean = np.array([each.mean_k for each in self._fits])
+        about = (mean - mean.mean())[self._pose]
+        n, x, y = matrix[:, 0, 0], matrix[:, 0, 1], right[:, 0] + drift * matrix[:, 0, 0]
+        xx, xy = matrix[:, 1, 1], right[:, 1] + drift * matrix[:, 0, 1]
+        yy = square + 2.0 * drift * right[:, 0] + drift**2 * matrix[:, 0, 0]
+        # The reference is x + about, and the picture y more.
+        true, seen = (x + n * about).sum(), (x + y + n * about).sum()
+        both = (xx + xy + about * (2.0 * x + y + n * about)).sum() - true * seen / n.sum()
+        own = (xx + 2.0 * xy + yy + about * (2.0 * (x + y) + n * about)).sum() - seen**2 / n.sum()
+        return float(own / both) if both > 0.0 else np.inf
 
     def _said(self, cause: Cause, chosen: Sequence[Cause]) -> Cause:
         """Return the cause, or an offset on the material unless its emissivity explains significantly more.

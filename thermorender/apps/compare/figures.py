@@ -360,9 +360,10 @@ def _curves_of(
 ) -> list[tuple[str, _Look]]:
     """Return the entries of a legend of maps by colour, and of their uses by dashes."""
     kinds = {own["kind"] for own in methods}
+    dashes = {own["map"]: "-" if own["kind"] in _STYLE else "-." for own in methods}
     return [
         *first,
-        *((name, {"color": colour}) for name, colour in colours.items()),
+        *((name, {"color": colour, "ls": dashes[name]}) for name, colour in colours.items()),
         *((words, {"color": "grey", "ls": _STYLE[kind]}) for kind, words in _USES.items() if kind in kinds),
     ]
 
@@ -502,17 +503,18 @@ class Pictures:
     scenes: int = 1  # Number of scenes
     # {"title", "visible", "pictures": [{"label", "source", "reference"}]} of each pose on the page
     views: list[dict[str, Any]] = field(default_factory=list)
-    opening: "Opening | None" = None  # The first pose drawn
+    opening: "Opening | None" = None  # A pose in the middle of the first scene
     _bytes: int = 0
 
     def add(self, scene: str, view: View, seen: Mapping[str, Image], count: int, reference: str = "reference") -> None:
         """Add the pictures of one of `count` Views if it is drawn: `seen` is {label: (H, W) kelvin}."""
-        if view.index not in evenly(count, min(_POSES, max(1, _ALL // self.scenes))):
+        drawn = evenly(count, min(_POSES, max(1, _ALL // self.scenes)))
+        if view.index not in drawn:
             return
         place = self.folder / "pictures"
         place.mkdir(exist_ok=True)
         error_images(place / f"{scene}_{view.index:04d}.png", view, seen, reference)
-        if self.opening is None:
+        if self.opening is None and view.index == drawn[len(drawn) // 2]:
             self.opening = Opening.of(f"{scene}, {view.time_s:.1f} s", view, seen, reference)
         shown = [] if view.truth is None else [(reference, view.truth)]
         pictures: list[dict[str, Any]] = [

@@ -80,6 +80,7 @@ class PoseFit:
     # By whether shift, blur and zoom are free; a missing one equals that of `most`
     equations: dict[Free, Equations]
     middle_k: float  # Median error [K]
+    mean_k: float  # Mean of the reference [K]
 
     @property
     def most(self) -> Free:
@@ -115,7 +116,7 @@ def fit(
     cells, order, edges = picture.sorted_cells()
     equations = {free: picture.equations(at, materials, order, edges) for free, at in found.items()}
     names = tuple(pair.names[number] for number in materials)
-    return PoseFit(cells, names, equations, picture.middle_k)
+    return PoseFit(cells, names, equations, picture.middle_k, picture.mean_k)
 
 
 class _Picture:
@@ -143,10 +144,10 @@ class _Picture:
         if not self.count:
             return
         truth = np.asarray(pair.truth, np.float32)
-        self._mean = float(truth[self._used].mean(dtype=np.float64))
+        self.mean_k = float(truth[self._used].mean(dtype=np.float64))
         self._variance_k2 = float(truth[self._used].var(dtype=np.float64))
-        self._truth = np.where(known, truth - np.float32(self._mean), np.float32(0.0))
-        self._seen = np.asarray(pair.seen, np.float64)[self._used] - self._mean
+        self._truth = np.where(known, truth - np.float32(self.mean_k), np.float32(0.0))
+        self._seen = np.asarray(pair.seen, np.float64)[self._used] - self.mean_k
         self.middle_k = float(np.median(self._seen - self._truth[self._used]))
         self._material = pair.material[self._used]
         self._emissivity = np.asarray(pair.emissivity_k, np.float64)[self._used]
