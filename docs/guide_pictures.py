@@ -204,7 +204,7 @@ def compare():
         ("photograph", np.where(known[..., None], image, 255)),
         ("fok-1to1 on the photograph", masked[0], low, high, "inferno"),
         ("reference", masked[1], low, high, "inferno"),
-        ("its error", masked[2], -15.0, 15.0, "RdBu_r"),
+        ("error of the map", masked[2], -15.0, 15.0, "RdBu_r"),
     )
     finish("compare", [figure], 160)
 

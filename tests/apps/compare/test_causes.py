@@ -33,14 +33,15 @@ def land():
     return kelvin, material
 
 
-def causes_of(land, seen, poses=1, noise=0.05, start=(0.0, 0.0), zoom=None):
-    """The summary of Causes of pictures that are `seen` plus noise."""
-    truth, material = land
+def causes_of(land, seen, poses=1, noise=0.05, start=(0.0, 0.0), zoom=None, levels=(0.0, 0.0, 0.0, 0.0)):
+    """The summary of Causes of pictures that are `seen` plus noise; `levels` are added to the truth of each pose."""
+    plain, material = land
     rng = np.random.default_rng(8)
     row, column = np.mgrid[: SHAPE[0], : SHAPE[1]] // 20
     everywhere = np.ones(SHAPE, bool)
     causes = Causes(emissivity=dict(zip(NAMES, EMISSIVITY.tolist(), strict=True)))
     for number in range(poses):
+        truth = plain + levels[number]
         picture = (seen(number) if callable(seen) else seen) + noise * rng.normal(size=SHAPE)
         seen_from = view(everywhere, truth=truth, material=material)
         change = emissivities.change_k(seen_from, EMISSIVITY, picture, SKY_K, BAND)
@@ -156,6 +157,26 @@ def test_small_offsets_of_poses_beside_larger_errors_are_not_named(land):
     offsets = (0.3, -0.2, 0.1, -0.2)
     found = causes_of(land, lambda number: truth + offsets[number] + field(70 + number, 4.0, 0.5), poses=4)
     assert not named(found) and found["unexplained"] == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_contrast_that_a_line_through_all_poses_does_not_show_is_not_named(land):
+    """Half of the contrast within each pose, and more than that of their means: no other scale reduces the error."""
+    truth, _ = land
+    deviation = truth.std()
+    levels = 0.5 * deviation * np.array([-1.3, -0.4, 0.4, 1.3])
+    rest = [field(90 + k, 2.0, 0.22 * deviation) for k in range(4)]
+    within = 0.5 * (truth - truth.mean())
+
+    def pictures(scale):
+        return lambda k: truth.mean() + within + scale * levels[k] + rest[k]
+
+    # The inverse slope of the truth on the picture is 1 over all poses, and 0.6 within one.
+    every = np.concatenate([[pictures(1.53)(k), truth + levels[k]] for k in range(4)], axis=1).reshape(2, -1)
+    (own, both), _ = np.cov(every)
+    assert own / both == pytest.approx(1.0, abs=0.03)
+    assert ("contrast", "") not in named(causes_of(land, pictures(1.53), poses=4, levels=levels))
+    found = named(causes_of(land, pictures(0.5), poses=4, levels=levels))
+    assert found["contrast", ""] == pytest.approx((-0.5,), abs=0.03)
 
 
 def test_the_unexplained_share_is_that_of_the_error_beside_the_planted_cause(land):
