@@ -400,7 +400,7 @@ class _Pooled:
         true, seen = (x + n * about).sum(), (x + y + n * about).sum()
         both = (xx + xy + about * (2.0 * x + y + n * about)).sum() - true * seen / n.sum()
         own = (xx + 2.0 * xy + yy + about * (2.0 * (x + y) + n * about)).sum() - seen**2 / n.sum()
-        return float(own / both) if both > 0.0 else np.inf
+        return float(own / both) if both else np.inf
 
     def _said(self, cause: Cause, chosen: Sequence[Cause]) -> Cause:
         """Return the cause, or an offset on the material unless its emissivity explains significantly more.

@@ -208,7 +208,7 @@ def error_and_time(summary: Summary) -> Any:
     _plain(axis.xaxis, axis.yaxis)
     axis.grid(alpha=0.3, which="both", lw=0.4)
     # A map has a marker for each of its uses, any other method its own.
-    marks = {own["map"]: "o" if own["kind"] in _USES else _MARKS[own["kind"]] for own, _ in scored}
+    marks = {own["map"]: "o" if own["kind"] in _USES else _MARKS.get(own["kind"], "v") for own, _ in scored}
     entries: list[tuple[str, _Look]] = [(name, {"color": colour, "marker": marks[name], "ls": ""})
                                         for name, colour in colours.items()]  # fmt: skip
     kinds = {own["kind"] for own, _ in scored}
