@@ -13,7 +13,7 @@ from thermorender.physics.planck import band_radiance, brightness_temperature
 
 # Noise of the camera in frames with a fault [K], and a smooth error of this size [K] and length [px].
 _NOISE_K, _SMOOTH_K, _LENGTH_PX = 0.05, 0.1, 8.0
-# A map of less than this share of the reference's contrast is called one of almost no contrast.
+# A map whose standard deviation is less than this share of the ground's has almost no contrast.
 _FLAT = 0.2
 _MAPS = ("fok-1to1", "procedural-palette", "procedural-trees")
 
@@ -128,7 +128,7 @@ def innocent(views, band_um, rng):
     """Return {name: Frame} with errors that have no cause to name: noise, and maps of the photograph.
 
     Maps are calibrated by a line through this land's own temperatures; a grey picture gets their distribution. A map
-    that then shows less than `_FLAT` of the contrast has a cause, a wrong contrast, and is planted so.
+    that then varies less than `_FLAT` of the ground does has a cause, almost no contrast, and is planted so.
     """
     true, grounds = [_filled(view) for view in views], [_ground(view) for view in views]
     ground = np.concatenate([kelvin[here] for kelvin, here in zip(true, grounds, strict=True)])
@@ -178,8 +178,8 @@ def innocent(views, band_um, rng):
     for name, kelvin in found.items():
         gain, _ = _line(ground, of_ground(kelvin))
         changes = of_ground([one - own for one, own in zip(kelvin, true, strict=True)])
-        flat = gain < _FLAT
-        frames[name] = Frame(kelvin, {"contrast": gain - 1.0} if flat else {},
+        flat = of_ground(kelvin).std() < _FLAT * ground.std()
+        frames[name] = Frame(kelvin, {"flat": gain - 1.0} if flat else {},
                              float(np.sqrt(np.mean(changes**2))) if flat else 0.0)  # fmt: skip
     return frames
 

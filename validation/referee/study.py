@@ -29,12 +29,15 @@ from validation.referee import plants
 HEADER = ("planted", "comparisons", "named", "nothing named")
 _RATES = {
     "accused": "innocent frames accused", "right": "visible faults all named", "faint_right": "faint faults all named",
-    "also_wrong": "faults with another cause named too",
+    "also_wrong": "faults with another cause named too", "flat": "maps of almost no contrast, so named",
 }  # fmt: skip
 KINDS_NAMED = (
     "offset", "contrast", "shift", "blur", "material", "emissivity", "zoom", "drift", "clipping", "order", "mirrored",
     "unlike",
 )  # fmt: skip
+# Kinds that are right for another: an offset on the material for a wrong emissivity; a picture of almost no contrast
+# looks unlike the ground too.
+_LIKE = {"emissivity": {"material"}, "flat": {"contrast", "unlike"}}
 # Least root mean square effect of a visible fault [K]: about twice the noise of its frame.
 VISIBLE_K = 0.2
 # Seeds of the lands of the stated rates, and of those that the referee's thresholds were chosen on.
@@ -153,12 +156,15 @@ def _case(land, name, frame, found):
 def rates(found):
     """Return rates of right and of wrong names, with 95 % intervals; a fault is visible from an effect of VISIBLE_K."""
     innocent = [each for each in found if not each["planted"]]
-    visible = [each for each in found if each["planted"] and each["effect_k"] >= VISIBLE_K]
-    faint = [each for each in found if each["planted"] and each["effect_k"] < VISIBLE_K]
+    # A map of almost no contrast is no planted fault.
+    flat = [each for each in found if "flat" in each["planted"]]
+    faults = [each for each in found if each["planted"] and "flat" not in each["planted"]]
+    visible = [each for each in faults if each["effect_k"] >= VISIBLE_K]
+    faint = [each for each in faults if each["effect_k"] < VISIBLE_K]
     counts = {
         "accused": (innocent, lambda each: bool(each["named"])),
         "right": (visible, rightly), "faint_right": (faint, rightly),
-        "also_wrong": ([*visible, *faint], lambda each: bool(wrongly(each))),
+        "also_wrong": (faults, lambda each: bool(wrongly(each))), "flat": (flat, rightly),
     }  # fmt: skip
     rated = {name: (sum(map(of, cases)), len(cases)) for name, (cases, of) in counts.items()}
     return {name: {"count": count, "of": of, "interval_95": interval(count, of)} for name, (count, of) in rated.items()}
@@ -175,13 +181,14 @@ def wrongly(case):
     allowed = set(case["planted"]) | ({"material"} if "emissivity" in case["planted"] else set())
     # A contrast about another temperature than the mean of a pose is also an offset of the pose.
     allowed |= {"offset", "drift"} if "contrast" in case["planted"] else set()
+    allowed |= {"contrast", "unlike", "offset", "drift"} if "flat" in case["planted"] else set()
     return sorted(named(case) - allowed)
 
 
 def rightly(case):
-    """Return whether all planted kinds are named; an offset on the material is right for a wrong emissivity."""
+    """Return whether all planted kinds are named, or others that are right for them, of `_LIKE`."""
     kinds = named(case)
-    return all(kind in kinds or (kind == "emissivity" and "material" in kinds) for kind in case["planted"])
+    return all(kind in kinds or bool(kinds & _LIKE.get(kind, set())) for kind in case["planted"])
 
 
 def confusion(found):

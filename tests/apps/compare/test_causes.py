@@ -287,10 +287,11 @@ def test_rates_of_the_study_count_what_is_named_rightly_and_wrongly():
 
     found = [case({}, []), case({}, ["flat"]), case({"shift": 2.0}, ["shift"]), case({"shift": 2.0}, ["shift", "blur"]),
              case({"emissivity": 0.1}, ["material"]), case({"offset": 0.1}, [], 0.1),
-             case({"material": 1.0}, ["emissivity"])]  # fmt: skip
+             case({"material": 1.0}, ["emissivity"]), case({"flat": -0.9}, ["flat"]),
+             case({"flat": -0.9}, [])]  # fmt: skip
     rates = study.rates(found)
     assert {name: (each["count"], each["of"]) for name, each in rates.items()} == {
-        "accused": (1, 2), "right": (3, 4), "faint_right": (0, 1), "also_wrong": (2, 5),
+        "accused": (1, 2), "right": (3, 4), "faint_right": (0, 1), "also_wrong": (2, 5), "flat": (1, 2),
     }  # fmt: skip
     # Without a case, the exact interval ends at 1 − 0.025^(1/n).
     assert study.interval(0, 200) == pytest.approx((0.0, 1.0 - 0.025 ** (1 / 200)))
