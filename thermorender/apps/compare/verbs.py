@@ -55,9 +55,8 @@ def compare(
                      rich_help_panel="maps and files"),
     ] = None,
     methods: Annotated[
-        str, typer.Option(help="Comma-separated: photograph, maps applied to photographs; true-materials and "
-                          "learned-materials, maps as kelvin of the ground, rendered; constant, per-material, "
-                          "frame-mean, means; balance, the heat balance.")
+        str, typer.Option(help="Comma-separated: maps on the photograph, or as kelvin with true or learned materials; "
+                          "means; the heat balance.")
     ] = "photograph,true-materials,learned-materials,constant,per-material,frame-mean,balance",
     emissivity: Annotated[
         str, typer.Option(help="Emissivity map of the learned materials.", rich_help_panel="maps and files")
