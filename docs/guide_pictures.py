@@ -202,9 +202,9 @@ def compare():
     low, high = np.nanpercentile(masked[1], (1, 99))
     figure, _ = panels(
         ("photograph", np.where(known[..., None], image, 255)),
-        ("B fok-1to1", masked[0], low, high, "inferno"),
+        ("fok-1to1 on the photograph", masked[0], low, high, "inferno"),
         ("reference", masked[1], low, high, "inferno"),
-        ("error of B fok-1to1", masked[2], -15.0, 15.0, "RdBu_r"),
+        ("error of the map", masked[2], -15.0, 15.0, "RdBu_r"),
     )
     finish("compare", [figure], 160)
 

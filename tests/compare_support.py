@@ -71,6 +71,16 @@ def errors(summary, label, stage="radiometric", part="ground"):
     return summary["methods"][label]["errors"][stage][part]
 
 
+def translated(name, more=""):
+    """The label of a map on the photograph."""
+    return f"{name} on the photograph{more}"
+
+
+def rendered(name, more=""):
+    """The label of a map as kelvin, with true materials."""
+    return f"{name} as kelvin, true materials{more}"
+
+
 def kinds(summary, label):
     return {each["kind"] for each in summary["findings"] if each["method"] == label}
 
@@ -85,10 +95,10 @@ def view(known, **fields):
 
 
 def summary_of(methods=(), references=(True,), assumed=False, computed=False):
-    """A comparison's summary with its methods, (label, letter, bounds) each, and scenes with or without reference."""
+    """A comparison's summary with its methods, (label, kind, bounds) each, and scenes with or without reference."""
     return {
-        "methods": {label: {"letter": letter, "bounds": bounds, "true_objects": label.endswith("true objects")}
-                    for label, letter, bounds in methods},
+        "methods": {label: {"kind": kind, "bounds": bounds, "true_objects": label.endswith("true objects")}
+                    for label, kind, bounds in methods},
         "scenes": [{"reference": known, "poses": 1, "assumed_materials": assumed, "computed": computed}
                    for known in references],
         "findings": [], "notes": [],

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from thermorender import files
 
-# Traced light, baked tiles, LOWTRAN7 with its results, and the tokens of servers.
-CACHED = ("light", "tiles", "lowtran", "link")
+# Traced light, baked tiles, LOWTRAN7 with its results, searches for leaks, and the tokens of servers.
+CACHED = ("light", "tiles", "lowtran", "leaks", "link")
 # Largest total size of the files of kinds that grow with use [bytes]; the least recently used are removed first.
-LIMITS = {"light": 4 << 30, "tiles": 32 << 30}
+LIMITS = {"light": 4 << 30, "tiles": 32 << 30, "leaks": 64 << 20}
 # Names of their files: a hash of what the content depends on.
 _NAME = r"[0-9a-f]{40}"
 # A temporary file of this age [s] remains from a killed process.

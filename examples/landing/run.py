@@ -197,7 +197,7 @@ def _landing(run, kind, made, scene):
         if method is None:
             radiance = reference.radiance(pose, 0.0, hot)
         else:
-            visible = photograph(reference, pose, 0.0)[0] if method.letter == "B" else None
+            visible = photograph(reference, pose, 0.0)[0] if method.kind == "photograph" else None
             radiance = method.radiance(_Pose(pose, 0.0, visible, height / camera.focal_length_px, camera.band_um))
         frame_s.append(time.perf_counter() - frame_began)
         moment = in_sequence(camera, step, when)

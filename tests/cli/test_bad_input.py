@@ -924,7 +924,15 @@ def test_compare_names_the_wrong_option(scene, refused):
     change(scene / "scene.toml", "[camera]", '[truth]\ntemperature = "temperature.tif"\n[camera]')
     refused("learned map 'x' is unknown", "compare", scene, "--models", "x", *QUICK)
     refused("models is empty", "compare", scene, "--models", ",", *QUICK)
-    refused("--methods='B,G' is not allowed; give some of B, C1, C2, D, E, F", "compare", scene, "--methods", "B,G")
+    refused("--run-time='fok-1to1=0' is not allowed", "compare", scene, "--run-time", "fok-1to1=0", *QUICK)
+    refused("--run-time='fok-1to1' is not allowed; give NAME=MS", "compare", scene, "--run-time", "fok-1to1", *QUICK)
+    refused(
+        "--methods='photograph,G' is not allowed; give some of photograph, true-m",
+        "compare",
+        scene,
+        "--methods",
+        "photograph,G",
+    )
     refused("quality='finest' is unknown", "compare", scene, "--quality", "finest")
 
 

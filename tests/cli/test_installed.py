@@ -210,7 +210,7 @@ def test_demo_on_a_tiny_scene(tmp_path, monkeypatch):
     assert done.exit_code == 0 and "report.html" in done.output, done.output
     assert (tmp_path / "demo" / "flight" / "flight.mp4").stat().st_size > 1000
     found = json.loads((tmp_path / "demo" / "comparison" / "comparison.json").read_text())
-    assert {label.partition(" ")[0] for label in found["methods"]} == {"B", "C1", "D"}
+    assert {own["kind"] for own in found["methods"].values()} == {"photograph", "true-materials", "frame-mean"}
     with pytest.raises(ThermorenderError, match="already holds a demo; give another folder with -o, or remove it"):
         CliRunner().invoke(cli.app, ["demo", "-o", str(tmp_path / "demo")], catch_exceptions=False)
 

@@ -305,9 +305,13 @@ def test_compare_accepts_files_and_conditional_maps(tmp_path):
     above = str(folder / "above.npz")
     flown = Flight.of(tr.load_scene(folder), path_of(0))
     summary = compare([flown], tmp_path / "c", [str(plain), above], Options(settings={"rays": 4}))
-    assert {"B plain", "C1 plain", "C1 above"} < set(summary["methods"]) and "B above" not in summary["methods"]
-    assert summary["methods"]["C1 above"]["errors"]["radiometric"]["ground"]["mae_k"] < TOLERANCE_K
-    assert summary["scenes"][0]["maps"]["C1 above"]["above"]["share_outside_0_1"] == 0.0
+    assert {"plain on the photograph", "plain as kelvin, true materials", "above as kelvin, true materials"} < set(
+        summary["methods"]
+    ) and "above on the photograph" not in summary["methods"]
+    assert (
+        summary["methods"]["above as kelvin, true materials"]["errors"]["radiometric"]["ground"]["mae_k"] < TOLERANCE_K
+    )
+    assert summary["scenes"][0]["maps"]["above as kelvin, true materials"]["above"]["share_outside_0_1"] == 0.0
     shutil.copy(plain, tmp_path / "other.npz")
     with pytest.raises(ThermorenderError, match="two methods are called 'plain'; give maps"):
         compare([flown], tmp_path / "e", [str(plain), str(tmp_path / "other.npz")], Options(settings={"rays": 4}))

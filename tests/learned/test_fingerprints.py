@@ -162,11 +162,12 @@ def test_a_picture_that_cannot_be_read_is_not_counted_as_searched(tmp_path):
 
 def test_compare_states_which_scenes_a_map_was_trained_on():
     own = provenance.provenance_of(with_prints())
-    provenance.search_fingerprints(own, with_prints(), {"hill": [picture(40), picture(41)], "lake": [picture(1)[::-1]]})
+    scenes = {"hill": [picture(40), picture(41)], "lake": [picture(1)[::-1]]}
+    provenance.search_fingerprints([own], [with_prints()], scenes)
     (leak,) = own.leaks
     assert "was trained on 1 of these 3 pictures or parts of them: lake 1;" in leak
     clean = provenance.provenance_of(with_prints())
-    provenance.search_fingerprints(clean, with_prints(), {"hill": [picture(40)]})
+    provenance.search_fingerprints([clean], [with_prints()], {"hill": [picture(40)]})
     assert not clean.leaks and "none of the 1 shows one of them" in clean.audited
 
 

@@ -604,7 +604,7 @@ def test_a_balance_is_the_truth_of_a_comparison_without_a_raster(scene, path, tm
     found = compare([Flight.of(scene, path, 0.01)], tmp_path / "c", ("fok-1to1",), options)
     (record,) = found["scenes"]
     assert record["time"] == "2018-07-28T14:30:00Z" and record["weather"]["source"] == "named day"
-    assert found["methods"]["C1 fok-1to1"]["errors"]["radiometric"]["ground"]["pixels"] > 0
+    assert found["methods"]["fok-1to1 as kelvin, true materials"]["errors"]["radiometric"]["ground"]["pixels"] > 0
 
 
 def test_an_edit_of_the_weather_warns_where_temperatures_do_not_follow_it(tmp_path):

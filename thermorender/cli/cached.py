@@ -11,14 +11,15 @@ from thermorender.errors import ThermorenderError
 
 _HOLDS = {
     "light": "traced light of scenes", "tiles": "baked tiles of ground of any size",
-    "lowtran": "LOWTRAN7 and its results", "link": "tokens of servers",
+    "lowtran": "LOWTRAN7 and its results", "leaks": "searches of data sets for leaks",
+    "link": "tokens of servers",
 }  # fmt: skip
 
 
 def cache(
     shrink: Annotated[
-        list[str] | None, typer.Option(help="KIND=GB: remove the least recently used files of light or tiles beyond so "
-                                       "many gigabytes; may be repeated.")
+        list[str] | None, typer.Option(help="KIND=GB: remove the least recently used files of light, tiles or leaks "
+                                       "beyond so many gigabytes; may be repeated.")
     ] = None,
 ) -> None:  # fmt: skip
     """Print what later runs reuse and how large it is; or make it smaller."""

@@ -11,7 +11,7 @@ import typer
 from thermorender import formats
 from thermorender.apps.lands.procedural.procedural_scene import KINDS
 from thermorender.cli.terminal import split
-from validation.command import Out, conclude, new_results, run_command, seeds_of
+from validation.command import Out, conclude, continued_results, run_command, seeds_of
 from validation.referee import study
 from validation.referee.figure import draw
 
@@ -24,10 +24,10 @@ def main(
     ] = ",".join(map(str, study.SEEDS)),
 ):  # fmt: skip
     """What `compare` names: planted faults and innocent frames on unseen lands."""
-    with new_results(output) as (report, folder):
-        result = study.run(split(kinds), seeds_of(seeds), report)
-        formats.write_json(folder / "referee.json", result)
-        draw(folder / "referee.png", result)
+    with continued_results(output) as report:
+        result = study.run(output, split(kinds), seeds_of(seeds), report)
+        formats.write_json(output / "referee.json", result)
+        draw(output / "referee.png", result)
     conclude("referee", output, study.HEADER, study.rows(result))
 
 

@@ -1,10 +1,10 @@
-"""Frames with planted faults and innocent frames, made from the temperature picture of a rendered land."""
+"""Frames with planted faults and innocent frames, made from the temperature pictures of a flight over a land."""
 
 from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import affine_transform, gaussian_filter
 from scipy.ndimage import shift as shifted
 
 from thermorender.frame import apparent_temperature
@@ -13,116 +13,180 @@ from thermorender.physics.planck import band_radiance, brightness_temperature
 
 # Noise of the camera in frames with a fault [K], and a smooth error of this size [K] and length [px].
 _NOISE_K, _SMOOTH_K, _LENGTH_PX = 0.05, 0.1, 8.0
+# A map whose standard deviation is less than this share of the ground's has almost no contrast.
+_FLAT = 0.2
 _MAPS = ("fok-1to1", "procedural-palette", "procedural-trees")
 
 
 @dataclass
 class Frame:
-    """A frame and what is wrong with it.
+    """The frames of a flight and what is wrong with them.
 
     Attributes
     ----------
-    kelvin : (H, W) array
+    kelvin : list of (H, W) arrays
+        One frame for each pose.
     faults : dict of str to float
-        Size of each planted kind; empty for an innocent frame.
+        Size of each planted kind; empty for innocent frames.
     effect_k : float
         Root mean square change of the ground by all faults, away from objects [K].
     """
 
-    kelvin: np.ndarray
+    kelvin: list
     faults: dict = field(default_factory=dict)
     effect_k: float = 0.0
 
 
-def planted(view, other, sky_k, emissivity, band_um, rng):
+def planted(views, other, sky_k, emissivity, band_um, rng):
     """Return {name: Frame} with planted faults.
 
     Parameters
     ----------
-    view : View
-        Of the land.
+    views : list of View
+        Of the land, of at least four poses.
     other : (H, W) array
-        Frame of another pose of the land [K].
+        Frame of a pose of the land elsewhere [K].
     sky_k : float
     emissivity : (M,) array
         Band emissivities of the land's materials.
     band_um : (lower, upper)
     rng : Generator
     """
-    true = _filled(view)
-    mean = float(true[_ground(view)].mean())
-    # Not beside objects and the border, where a hot object may be moved onto the ground.
-    away = cv2.erode(_ground(view).astype(np.uint8), np.ones((15, 15), np.uint8), borderValue=0).astype(bool)
-    away = away if away.any() else _ground(view)
-    found = {}
+    true = [_filled(view) for view in views]
+    grounds, away = [_ground(view) for view in views], [_away(view) for view in views]
+    ground = np.concatenate([kelvin[here] for kelvin, here in zip(true, grounds, strict=True)])
+    mean, found = float(ground.mean()), {}
 
     def about(size):
         # Sizes vary from land to land.
         return size * float(rng.uniform(0.8, 1.25))
 
     def plant(name, kelvin, **faults):
-        effect = float(np.sqrt(np.mean((kelvin - true)[away] ** 2)))
-        noise = _NOISE_K * rng.normal(size=kelvin.shape) + smooth(rng, kelvin.shape, _LENGTH_PX, _SMOOTH_K)
-        found[name] = Frame(kelvin + noise, faults, effect)
+        changes = [(one - own)[here] for one, own, here in zip(kelvin, true, away, strict=True)]
+        effect = float(np.sqrt(np.mean(np.concatenate(changes) ** 2)))
+        found[name] = Frame([one + _noise(rng, one.shape) for one in kelvin], faults, effect)
+
+    def each(change):
+        return [change(kelvin) for kelvin in true]
 
     for size in map(about, (-2.0, -0.5, 0.5)):
-        plant(f"offset {size:+.2f} K", true + size, offset=size)
+        plant(f"offset {size:+.2f} K", each(lambda kelvin, size=size: kelvin + size), offset=size)
     for change in map(about, (-0.3, -0.1, 0.2)):
-        plant(f"contrast {1.0 + change:.2f}", mean + (1.0 + change) * (true - mean), contrast=change)
+        gain = 1.0 + change
+        plant(f"contrast {gain:.2f}", each(lambda kelvin, gain=gain: mean + gain * (kelvin - mean)), contrast=change)
     for right, down in ((about(0.5), 0.0), (about(2.0), 0.0), (about(-3.0), about(1.0))):
-        plant(f"shift {right:.1f} {down:.1f} px", moved(true, right, down), shift=float(np.hypot(right, down)))
+        plant(f"shift {right:.1f} {down:.1f} px", each(lambda kelvin, at=(right, down): moved(kelvin, *at)),
+              shift=float(np.hypot(right, down)))  # fmt: skip
     for sigma in map(about, (1.0, 1.5, 2.5)):
-        plant(f"blur {sigma:.1f} px", gaussian_filter(true, sigma), blur=sigma)
-    number = _material(view, rng)
+        plant(f"blur {sigma:.1f} px", each(lambda kelvin, sigma=sigma: gaussian_filter(kelvin, sigma)), blur=sigma)
+    number = _material(views[0], rng)
     if number is not None:
-        here = view.material == number
+        where = [view.material == number for view in views]
         for size in map(about, (-2.0, 1.5)):
-            plant(f"material {size:+.2f} K", true + size * here, material=size)
+            plant(f"material {size:+.2f} K", [one + size * here for one, here in zip(true, where, strict=True)],
+                  material=size)  # fmt: skip
         for change in map(about, (-0.15, -0.06)):
-            radiance = band_radiance(true, *band_um)
-            contrast = (radiance - band_radiance(sky_k, *band_um)) / max(emissivity[number], 0.1)
-            kelvin = brightness_temperature(radiance + change * here * contrast, *band_um)
+            kelvin = []
+            for one, here in zip(true, where, strict=True):
+                radiance = band_radiance(one, *band_um)
+                contrast = (radiance - band_radiance(sky_k, *band_um)) / max(emissivity[number], 0.1)
+                kelvin.append(brightness_temperature(radiance + change * here * contrast, *band_um))
             plant(f"emissivity {change:+.3f}", kelvin, emissivity=change)
-    plant("upside down", true[::-1], mirrored=1.0)
-    plant("left to right", true[:, ::-1], mirrored=1.0)
-    plant("another pose", other, unlike=1.0)
-    damped = mean + 0.9 * (true - mean)
-    plant("contrast, shift, offset", moved(damped, 2.0, 0.0) + 1.0, contrast=-0.1, shift=2.0, offset=1.0)
-    plant("shift, blur", gaussian_filter(moved(true, 1.0, -1.0), 1.5), shift=2.0**0.5, blur=1.5)
+    plant("upside down", each(lambda kelvin: kelvin[::-1]), mirrored=1.0)
+    plant("left to right", each(lambda kelvin: kelvin[:, ::-1]), mirrored=1.0)
+    plant("another pose", [other] * len(true), unlike=1.0)
+    damped = each(lambda kelvin: moved(mean + 0.9 * (kelvin - mean), 2.0, 0.0) + 1.0)
+    plant("contrast, shift, offset", damped, contrast=-0.1, shift=2.0, offset=1.0)
+    plant("shift, blur", each(lambda kelvin: gaussian_filter(moved(kelvin, 1.0, -1.0), 1.5)), shift=2.0**0.5, blur=1.5)
+    _by_pose(true, ground, about, plant)
     return found
 
 
-def innocent(view, band_um, rng):
+def _by_pose(true, ground, about, plant):
+    """Plant faults that vary by pose, that grow towards the edge of a frame, or that hold beyond a temperature."""
+    poses = len(true)
+    plant("frames swapped in pairs", [true[k ^ 1 if k ^ 1 < poses else k] for k in range(poses)], order=1.0)
+    plant("frames late by one", [true[max(k - 1, 0)] for k in range(poses)], order=1.0)
+    plant("frames early by one", [true[min(k + 1, poses - 1)] for k in range(poses)], order=1.0)
+    for change in map(about, (0.03, -0.03, 0.01)):
+        plant(f"zoom {change:+.3f}", [zoomed(kelvin, change) for kelvin in true], zoom=change)
+    for name, offsets in (
+        ("drift", np.linspace(-1.0, 1.0, poses) * about(2.0)),
+        ("slow drift", np.linspace(0.5, -0.5, poses) * about(1.5)),
+        ("jumps", np.resize([1.0, -1.0, -0.5, 0.7], poses) * about(1.0)),
+    ):  # fmt: skip
+        offsets = offsets - offsets.mean()
+        plant(f"{name} {offsets.std():.2f} K", [one + offset for one, offset in zip(true, offsets, strict=True)],
+              drift=float(offsets.std()))  # fmt: skip
+    for share in map(about, (0.15, 0.35)):
+        highest, lowest = np.quantile(ground, (1.0 - share, share))
+        plant(f"clipped above, {share:.0%}", [np.minimum(one, highest) for one in true], clipping=share)
+        plant(f"clipped below, {share:.0%}", [np.maximum(one, lowest) for one in true], clipping=-share)
+
+
+def innocent(views, band_um, rng):
     """Return {name: Frame} with errors that have no cause to name: noise, and maps of the photograph.
 
-    Maps are calibrated by a line through this land's own temperatures; a grey picture gets their distribution.
+    Maps are calibrated by a line through this land's own temperatures; a grey picture gets their distribution. A map
+    that then varies less than `_FLAT` of the ground does has a cause, almost no contrast, and is planted so.
     """
-    true, ground = _filled(view), _ground(view)
-    found = {f"noise {size:g} K": true + size * rng.normal(size=true.shape) for size in (0.05, 0.2)}
+    true, grounds = [_filled(view) for view in views], [_ground(view) for view in views]
+    ground = np.concatenate([kelvin[here] for kelvin, here in zip(true, grounds, strict=True)])
+
+    def of_ground(images):
+        return np.concatenate([image[here] for image, here in zip(images, grounds, strict=True)])
+
+    def each(change):
+        return [change(kelvin) for kelvin in true]
+
+    found = {f"noise {size:g} K": each(lambda kelvin, size=size: kelvin + size * rng.normal(size=kelvin.shape))
+             for size in (0.05, 0.2)}  # fmt: skip
     for length in (2.0, 6.0, 20.0):
         for size in (0.3, 1.0):
-            found[f"smooth {length:g} px, {size:g} K"] = true + smooth(rng, true.shape, length, size)
+            found[f"smooth {length:g} px, {size:g} K"] = each(
+                lambda kelvin, at=(length, size): kelvin + smooth(rng, kelvin.shape, *at))  # fmt: skip
     # Noise of another strength on each material, as textures cause it.
-    found["by texture"] = true + rng.uniform(0.0, 1.0, 256)[view.material] * smooth(rng, true.shape, 3.0, 1.0)
+    strength = rng.uniform(0.0, 1.0, 256)
+    found["by texture"] = [kelvin + strength[view.material] * smooth(rng, kelvin.shape, 3.0, 1.0)
+                           for kelvin, view in zip(true, views, strict=True)]  # fmt: skip
     # The camera's tone and noise differ from land to land.
-    toned = 255.0 * (view.visible / 255.0) ** rng.uniform(0.7, 1.4) + 2.0 * rng.normal(size=view.visible.shape)
-    visible = np.clip(toned, 0.0, 255.0).astype(np.uint8)
-    grey = cv2.cvtColor(visible, cv2.COLOR_RGB2GRAY).astype(float)
-    for name, image in (("grey", grey), ("grey, softened", gaussian_filter(grey, 1.5))):
-        found[f"{name}, matched"] = _matched(image, true, ground, rng)
+    gamma = rng.uniform(0.7, 1.4)
+    toned = [255.0 * (view.visible / 255.0) ** gamma + 2.0 * rng.normal(size=view.visible.shape) for view in views]
+    visible = [np.clip(image, 0.0, 255.0).astype(np.uint8) for image in toned]
+    grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(float) for image in visible]
+    for name, images in (("grey", grey), ("grey, softened", [gaussian_filter(image, 1.5) for image in grey])):
+        images = [image + 1e-3 * rng.normal(size=image.shape) for image in images]
+        known = of_ground(images)
+        turn = -1.0 if np.corrcoef(known, ground)[0, 1] < 0.0 else 1.0
+        found[f"{name}, matched"] = [
+            np.interp(turn * image, np.sort(turn * known), np.sort(ground)) for image in images
+        ]
     for name in _MAPS:
-        model = load_model(name)
-        image = apparent_temperature(model.radiance(Inputs(visible, view.texel_m)), model.band_um)
-        image = np.where(np.isfinite(image), image, np.nanmedian(image)).astype(float)
-        slope, zero = _line(image[ground], true[ground])
-        found[f"{name}, calibrated"] = zero + slope * image
-        found[f"half {name}"] = 0.5 * true + 0.5 * (zero + slope * image)
-    # Half of the error of a map, in its own pattern, so that its contrast is right.
-    for name in _MAPS:
-        rest = found.pop(f"half {name}") - true
-        slope, zero = _line(true[ground], rest[ground])
-        found[f"{name}, error without contrast"] = true + rest - zero - slope * true
-    return {name: Frame(kelvin) for name, kelvin in found.items()}
+        model, images = load_model(name), []
+        for view, rgb in zip(views, visible, strict=True):
+            image = apparent_temperature(model.radiance(Inputs(rgb, view.texel_m)), model.band_um)
+            images.append(np.where(np.isfinite(image), image, np.nanmedian(image)).astype(float))
+        slope, zero = _line(of_ground(images), ground)
+        found[f"{name}, calibrated"] = [zero + slope * image for image in images]
+        # Half of the error of a map, in its own pattern, so that contrast and offset of each pose are right.
+        found[f"{name}, error without contrast"] = []
+        for image, kelvin, here in zip(images, true, grounds, strict=True):
+            rest = 0.5 * (zero + slope * image - kelvin)
+            less, nought = _line(kelvin[here], rest[here])
+            found[f"{name}, error without contrast"].append(kelvin + rest - nought - less * kelvin)
+    frames = {}
+    for name, kelvin in found.items():
+        gain, _ = _line(ground, of_ground(kelvin))
+        changes = of_ground([one - own for one, own in zip(kelvin, true, strict=True)])
+        flat = of_ground(kelvin).std() < _FLAT * ground.std()
+        frames[name] = Frame(kelvin, {"flat": gain - 1.0} if flat else {},
+                             float(np.sqrt(np.mean(changes**2))) if flat else 0.0)  # fmt: skip
+    return frames
+
+
+def _noise(rng, shape):
+    """Return the noise of a camera and a smooth error, (H, W) [K]."""
+    return _NOISE_K * rng.normal(size=shape) + smooth(rng, shape, _LENGTH_PX, _SMOOTH_K)
 
 
 def smooth(rng, shape, length_px, size):
@@ -134,6 +198,13 @@ def smooth(rng, shape, length_px, size):
 def moved(image, right, down):
     """Return a picture shifted by fractions of a pixel."""
     return shifted(image, (down, right), order=5, mode="nearest")
+
+
+def zoomed(image, change):
+    """Return a picture that is larger by a share about its middle."""
+    middle = 0.5 * (np.array(image.shape) - 1.0)
+    return affine_transform(image, np.full(2, 1.0 / (1.0 + change)), middle - middle / (1.0 + change), order=5,
+                            mode="nearest")  # fmt: skip
 
 
 def _line(x, y):
@@ -148,6 +219,12 @@ def _ground(view):
     return view.known & (view.object < 0)
 
 
+def _away(view):
+    """Return ground not beside objects and the border, where a hot object may be moved onto the ground."""
+    found = cv2.erode(_ground(view).astype(np.uint8), np.ones((15, 15), np.uint8), borderValue=0).astype(bool)
+    return found if found.any() else _ground(view)
+
+
 def _filled(view):
     true = view.truth.astype(float)
     return np.where(np.isfinite(true) & (true > 150.0), true, np.median(true[view.known]))
@@ -158,11 +235,3 @@ def _material(view, rng):
     counts = np.bincount(view.material[_ground(view)], minlength=256)[:255] / max(_ground(view).sum(), 1)
     possible = np.flatnonzero((counts > 0.03) & (counts < 0.6))
     return int(rng.choice(possible)) if len(possible) else None
-
-
-def _matched(grey, true, ground, rng):
-    """Return a grey picture with the temperatures of the ground, the bright ones warm if that correlates better."""
-    image = grey + 1e-3 * rng.normal(size=grey.shape)
-    if np.corrcoef(image[ground], true[ground])[0, 1] < 0.0:
-        image = -image
-    return np.interp(image, np.sort(image[ground]), np.sort(true[ground]))

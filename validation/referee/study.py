@@ -1,13 +1,16 @@
 """Comparisons with planted faults and innocent comparisons on unseen lands: what the referee names in each.
 
-Each land is rendered once. The frames are made from its temperature picture and compared as frames of another program.
+Each land is rendered in a flight of a few poses. The frames are made from its temperature pictures, and compared as
+frames of another program.
 """
 
+import json
 import tempfile
 from pathlib import Path
 
 import numpy as np
 
+from thermorender import formats
 from thermorender.apps.compare import emissivities, findings
 from thermorender.apps.compare.frames import Frames
 from thermorender.apps.compare.machine import machine
@@ -26,26 +29,33 @@ from validation.referee import plants
 HEADER = ("planted", "comparisons", "named", "nothing named")
 _RATES = {
     "accused": "innocent frames accused", "right": "visible faults all named", "faint_right": "faint faults all named",
-    "also_wrong": "faults with another cause named too",
+    "also_wrong": "faults with another cause named too", "flat": "maps of almost no contrast, so named",
 }  # fmt: skip
-KINDS_NAMED = ("offset", "contrast", "shift", "blur", "material", "emissivity", "mirrored", "unlike")
+KINDS_NAMED = (
+    "offset", "contrast", "shift", "blur", "material", "emissivity", "zoom", "drift", "clipping", "order", "mirrored",
+    "unlike",
+)  # fmt: skip
+# Kinds that are right for another: an offset on the material for a wrong emissivity; a picture of almost no contrast
+# looks unlike the ground too.
+_LIKE = {"emissivity": {"material"}, "flat": {"contrast", "unlike"}}
 # Least root mean square effect of a visible fault [K]: about twice the noise of its frame.
 VISIBLE_K = 0.2
 # Seeds of the lands of the stated rates, and of those that the referee's thresholds were chosen on.
-SEEDS, CHOSEN_ON = (7401, 7402), (7201, 7301, 7302)
-# Draws of sizes, materials, tones and noise on each land.
-_DRAWS = 2
+SEEDS, CHOSEN_ON = tuple(range(7601, 7608)), (7201, 7301, 7302, 7401, 7402, *range(7501, 7508))
 # Side and texel of a land [m], its camera's pixels against the full camera, and rays.
 _LAND, _COARSER, _SETTINGS = (48.0, 0.25, 1.0), 4, {"rays": 4}
-# Heights above the ground [m] and turns about the horizontal axis [rad], by seed.
+# Heights above the ground [m] and turns about the horizontal axis [rad], by seed; places of the poses [m].
 _HEIGHTS_M, _TURNS = (28.0, 32.0, 25.0, 30.0), (0.0, 0.2)
+_PLACES = ((-3.0, -1.0), (-1.0, 1.0), (1.0, 0.0), (3.0, 1.5))
 
 
-def run(kinds=tuple(KINDS), seeds=SEEDS, progress=None):
+def run(folder, kinds=tuple(KINDS), seeds=SEEDS, progress=None):
     """Return {"rates", "confusion", "comparisons": [{"land", "frame", "planted", "named", "sizes", …}]}.
 
     Parameters
     ----------
+    folder : path
+        Finished lands are kept in its `lands.jsonl`, and are not compared again.
     kinds : sequence of str
         Kinds of procedural land.
     seeds : sequence of int
@@ -61,11 +71,18 @@ def run(kinds=tuple(KINDS), seeds=SEEDS, progress=None):
         if kind not in KINDS:
             raise ThermorenderError(f"kind={kind!r} is not a kind of land; give some of {', '.join(KINDS)}")
     lands = [(kind, seed) for seed in seeds for kind in kinds]
-    found = []
+    path, found = folder / "lands.jsonl", []
+    kept = {}
+    if path.is_file():
+        kept = {each["land"]: each["comparisons"] for each in map(json.loads, path.read_text("utf-8").splitlines())}
     for number, (kind, seed) in enumerate(lands):
         if progress:
             progress(f"{kind} {seed}", number / len(lands))
-        found += of_land(kind, seed)
+        name = f"{kind} {seed}"
+        if name not in kept:
+            kept[name] = of_land(kind, seed)
+            formats.append_json(path, {"land": name, "comparisons": kept[name]})
+        found += kept[name]
     return {"seeds": list(seeds), "kinds": list(kinds), "rates": rates(found),
             "confusion": confusion(found), "comparisons": found,
             "machine": machine(), "versions": versions()}  # fmt: skip
@@ -80,42 +97,42 @@ def of_land(kind, seed):
         weather = weather_of(kind, weather_seed=None if seed % 2 else seed)
         scene = load_scene(write(make(kind, seed, *_LAND, weather=weather), folder / f"{kind}_{seed}"))
         scene = scene.with_camera(scene.camera.coarser(_COARSER))
-        flights = [_flight(scene, seed, *place) for place in ((0.0, 0.0), (5.0, 2.0))]
+        flight, aside = _flight(scene, seed, _PLACES, 0.0), _flight(scene, seed, ((5.0, 5.0),), 2.0)
         reference = Renderer(scene.with_true_temperature(), **_SETTINGS)
-        view, other = (view_of(reference, each.poses[0], 0.0, 0, True) for each in flights)
+        *views, other = (view_of(reference, pose, float(k), k, True)
+                         for k, pose in enumerate([*flight.poses, *aside.poses]))  # fmt: skip
         band_um = scene.camera.band_um
         known = emissivities.band_emissivities(scene)
-        frames = {}
-        for draw in range(_DRAWS):
-            for name, frame in [
-                *plants.planted(view, other.truth, scene.sky_temperature, known, band_um, rng).items(),
-                *plants.innocent(view, band_um, rng).items(),
-            ]:
-                frames[f"{name}, draw {draw + 1}"] = frame
-        found = scored(flights[0], f"{kind} {seed}", reference, frames, folder)
+        frames = {
+            **plants.planted(views, other.truth, scene.sky_temperature, known, band_um, rng),
+            **plants.innocent(views, band_um, rng),
+        }
+        found = scored(flight, f"{kind} {seed}", reference, frames, folder)
     return [_case(f"{kind} {seed}", name, frame, found) for name, frame in frames.items()]
 
 
 def scored(flight, land, reference, frames, folder):
     """Return {name: results} of frames that are compared as frames of another program; nothing is drawn."""
     setup = Setup(flight, land, reference, True, None, Frames(folder, flight, reference.scene, None, {}),
-                  [Method("foreign", name, function=lambda view, kelvin=frame.kelvin: kelvin)
+                  [Method("foreign", name, function=lambda view, kelvin=frame.kelvin: kelvin[view.index])
                    for name, frame in frames.items()])  # fmt: skip
     totals = Totals()
     Trial(setup, totals, 0, None).run(None, lambda step, share: None)
     return {own.method.name: own for own in totals.methods.values()}
 
 
-def _flight(scene, seed, aside_m, yaw):
-    """Return the Flight of one pose above a land's middle, or beside it and turned about the vertical."""
+def _flight(scene, seed, places, yaw):
+    """Return the Flight of poses at places from a land's middle [m], turned about the vertical [rad]."""
     height, turn = _HEIGHTS_M[seed % len(_HEIGHTS_M)], _TURNS[seed % len(_TURNS)]
     # Looking straight down, then turned about the camera's horizontal axis.
     half = np.pi / 2.0 - 0.5 * turn
     cosine, sine, c, s = np.cos(half), np.sin(half), np.cos(0.5 * yaw), np.sin(0.5 * yaw)
     # The quaternion of the turn about the vertical times that of the look down, (w, x, y, z).
     look = [float(each) for each in (c * cosine, c * sine, s * sine, s * cosine)]
-    place = [[aside_m, aside_m, float(np.nanmax(scene.surfaces[0].vertices[:, 2])) + height]]
-    return Flight.of(scene, Trajectory(np.zeros(1), np.array(place), np.array([look])), 1.0)
+    above = float(np.nanmax(scene.surfaces[0].vertices[:, 2])) + height
+    at = np.array([[*place, above] for place in places])
+    times = np.arange(float(len(at)))
+    return Flight(scene, times, Trajectory(times, at, np.array([look] * len(at))).sampled(times).poses())
 
 
 def _case(land, name, frame, found):
@@ -126,23 +143,28 @@ def _case(land, name, frame, found):
     for each in own["causes"]["named"] if own["causes"] else []:
         size = each["size"]
         sizes[each["kind"]] = {"shift": float(np.hypot(*size[:2])) if len(size) == 2 else 0.0,
-                               "blur": abs(size[0]) ** 0.5}.get(each["kind"], size[0])  # fmt: skip
+                               "blur": abs(size[0]) ** 0.5, "drift": float(np.std(size)),
+                               "clipping": size[-1]}.get(each["kind"], size[0])  # fmt: skip
     ground = own["errors"]["radiometric"]["ground"]
     return {"land": land, "frame": name, "planted": frame.faults, "effect_k": frame.effect_k,
             "named": sorted(named), "sizes": sizes,
-            "mae_k": ground["mae_k"], "correlation": own["gain"]["correlation"] if own["gain"] else None,
+            "mae_k": ground["mae_k"], "rmse_k": ground["rmse_k"], "unexplained_k": findings.unexplained(own),
+            "correlation": own["gain"]["correlation"] if own["gain"] else None,
             "edges": own["likeness"]["edges"]}  # fmt: skip
 
 
 def rates(found):
     """Return rates of right and of wrong names, with 95 % intervals; a fault is visible from an effect of VISIBLE_K."""
     innocent = [each for each in found if not each["planted"]]
-    visible = [each for each in found if each["planted"] and each["effect_k"] >= VISIBLE_K]
-    faint = [each for each in found if each["planted"] and each["effect_k"] < VISIBLE_K]
+    # A map of almost no contrast is no planted fault.
+    flat = [each for each in found if "flat" in each["planted"]]
+    faults = [each for each in found if each["planted"] and "flat" not in each["planted"]]
+    visible = [each for each in faults if each["effect_k"] >= VISIBLE_K]
+    faint = [each for each in faults if each["effect_k"] < VISIBLE_K]
     counts = {
         "accused": (innocent, lambda each: bool(each["named"])),
         "right": (visible, rightly), "faint_right": (faint, rightly),
-        "also_wrong": ([*visible, *faint], lambda each: bool(wrongly(each))),
+        "also_wrong": (faults, lambda each: bool(wrongly(each))), "flat": (flat, rightly),
     }  # fmt: skip
     rated = {name: (sum(map(of, cases)), len(cases)) for name, (cases, of) in counts.items()}
     return {name: {"count": count, "of": of, "interval_95": interval(count, of)} for name, (count, of) in rated.items()}
@@ -154,15 +176,19 @@ def named(case):
 
 
 def wrongly(case):
-    """Return the kinds that are named but not planted; an offset on the material is right for a wrong emissivity."""
+    """Return the kinds that are named but not planted; an offset on the material is right for a wrong emissivity, and
+    offsets are right for a contrast."""
     allowed = set(case["planted"]) | ({"material"} if "emissivity" in case["planted"] else set())
+    # A contrast about another temperature than the mean of a pose is also an offset of the pose.
+    allowed |= {"offset", "drift"} if "contrast" in case["planted"] else set()
+    allowed |= {"contrast", "unlike", "offset", "drift"} if "flat" in case["planted"] else set()
     return sorted(named(case) - allowed)
 
 
 def rightly(case):
-    """Return whether all planted kinds are named; an offset on the material is right for a wrong emissivity."""
+    """Return whether all planted kinds are named, or others that are right for them, of `_LIKE`."""
     kinds = named(case)
-    return all(kind in kinds or (kind == "emissivity" and "material" in kinds) for kind in case["planted"])
+    return all(kind in kinds or bool(kinds & _LIKE.get(kind, set())) for kind in case["planted"])
 
 
 def confusion(found):

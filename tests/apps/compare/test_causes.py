@@ -5,15 +5,11 @@ import pytest
 from compare_support import BAND, view
 from scipy.ndimage import gaussian_filter, shift
 
-from thermorender.apps.compare import (
-    emissivities,
-    findings,
-    registration,
-)
-from thermorender.apps.compare.causes import Causes
-from thermorender.apps.compare.pose_fit import Pair, fit, moved
+from thermorender.apps.compare import emissivities, findings, frame_order, registration
+from thermorender.apps.compare.causes import Causes, clipping
+from thermorender.apps.compare.pose_fit import Pair, fit, moved, zoom_of
 from thermorender.physics.planck import band_radiance, brightness_temperature
-from validation.referee import study
+from validation.referee import plants, study
 
 SKY_K = 250.0
 SHAPE = (128, 160)
@@ -37,19 +33,20 @@ def land():
     return kelvin, material
 
 
-def causes_of(land, seen, poses=1, noise=0.05, start=(0.0, 0.0)):
-    """The summary of Causes of pictures that are `seen` plus noise."""
-    truth, material = land
+def causes_of(land, seen, poses=1, noise=0.05, start=(0.0, 0.0), zoom=None, levels=(0.0, 0.0, 0.0, 0.0)):
+    """The summary of Causes of pictures that are `seen` plus noise; `levels` are added to the truth of each pose."""
+    plain, material = land
     rng = np.random.default_rng(8)
     row, column = np.mgrid[: SHAPE[0], : SHAPE[1]] // 20
     everywhere = np.ones(SHAPE, bool)
     causes = Causes(emissivity=dict(zip(NAMES, EMISSIVITY.tolist(), strict=True)))
     for number in range(poses):
+        truth = plain + levels[number]
         picture = (seen(number) if callable(seen) else seen) + noise * rng.normal(size=SHAPE)
         seen_from = view(everywhere, truth=truth, material=material)
         change = emissivities.change_k(seen_from, EMISSIVITY, picture, SKY_K, BAND)
         pair = Pair(picture, truth, everywhere, everywhere, material, NAMES, change, row * 100 + column, everywhere)
-        causes.fits.append(fit(pair, start))
+        causes.fits.append(fit(pair, start, zoom=zoom))
     return causes.summary()
 
 
@@ -144,13 +141,106 @@ def test_an_impossible_emissivity_is_an_offset(land):
     assert set(named(causes_of(land, seen))) == {("material", "sand")}
 
 
-def test_offsets_of_single_poses_are_neither_an_offset_nor_a_material(land):
+def test_offsets_of_single_poses_are_one_that_changes_and_neither_an_offset_nor_a_material(land):
     """Seasons: the error of all materials is 20 K in one pose and −7 K in the next, and one material is not unusual."""
     truth, _ = land
     offsets = (20.0, -7.0, 4.0, -17.0)
-    assert not named(causes_of(land, lambda number: truth + offsets[number], poses=4))
+    found = causes_of(land, lambda number: truth + offsets[number], poses=4)
+    assert list(named(found)) == [("drift", "")] and found["unexplained"] < 1e-4
+    assert named(found)["drift", ""] == pytest.approx(offsets, abs=0.05)
     found = named(causes_of(land, lambda number: truth + offsets[number] - 2.0 * (land[1] == 2), poses=4))
-    assert found[("material", "sand")] == pytest.approx((-2.0,), abs=0.05) and len(found) == 1
+    assert found[("material", "sand")] == pytest.approx((-2.0,), abs=0.05) and len(found) == 2
+
+
+def test_small_offsets_of_poses_beside_larger_errors_are_not_named(land):
+    truth, _ = land
+    offsets = (0.3, -0.2, 0.1, -0.2)
+    found = causes_of(land, lambda number: truth + offsets[number] + field(70 + number, 4.0, 0.5), poses=4)
+    assert not named(found) and found["unexplained"] == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_contrast_that_a_line_through_all_poses_does_not_show_is_not_named(land):
+    """Half of the contrast within each pose, and more than that of their means: no other scale reduces the error."""
+    truth, _ = land
+    deviation = truth.std()
+    levels = 0.5 * deviation * np.array([-1.3, -0.4, 0.4, 1.3])
+    rest = [field(90 + k, 2.0, 0.22 * deviation) for k in range(4)]
+    within = 0.5 * (truth - truth.mean())
+
+    def pictures(scale):
+        return lambda k: truth.mean() + within + scale * levels[k] + rest[k]
+
+    # The inverse slope of the truth on the picture is 1 over all poses, and 0.6 within one.
+    every = np.concatenate([[pictures(1.53)(k), truth + levels[k]] for k in range(4)], axis=1).reshape(2, -1)
+    (own, both), _ = np.cov(every)
+    assert own / both == pytest.approx(1.0, abs=0.03)
+    assert ("contrast", "") not in named(causes_of(land, pictures(1.53), poses=4, levels=levels))
+    found = named(causes_of(land, pictures(0.5), poses=4, levels=levels))
+    assert found["contrast", ""] == pytest.approx((-0.5,), abs=0.03)
+
+
+def test_the_unexplained_share_is_that_of_the_error_beside_the_planted_cause(land):
+    """0.3 K of smooth error beside an offset of 1 K: 0.09 / 1.09 of the square error, and its noise."""
+    truth, _ = land
+    found = causes_of(land, truth + 1.0 + field(71, 4.0, 0.3), noise=0.0)
+    assert list(named(found)) == [("offset", "")]
+    assert found["unexplained"] == pytest.approx(0.09 / 1.09, rel=0.1)
+
+
+@pytest.mark.parametrize("change", [0.03, -0.05, 0.004])
+def test_a_wrong_field_of_view_is_a_zoom(land, change):
+    truth, _ = land
+    seen = plants.zoomed(truth, change)
+    known = np.ones(SHAPE, bool)
+    guess, beside = zoom_of(seen, truth, known)
+    assert guess == pytest.approx(change, abs=0.01) and np.hypot(*beside) < 1.0
+    found = named(causes_of(land, seen, zoom=guess))
+    assert list(found) == [("zoom", "")] and found["zoom", ""] == pytest.approx((change,), abs=0.0005)
+    # Beside a shift, both are found; a shifted picture alone has no zoom.
+    moved_too = shift(seen, (1.0, -2.0), order=5, mode="nearest")
+    guess, beside = zoom_of(moved_too, truth, known)
+    found = named(causes_of(land, moved_too, start=beside, zoom=guess))
+    assert set(found) == {("zoom", ""), ("shift", "")} and found["zoom", ""] == pytest.approx((change,), abs=0.001)
+    moved_only = shift(truth, (1.0, -2.0), order=5, mode="nearest")
+    guess, beside = zoom_of(moved_only, truth, known)
+    assert list(named(causes_of(land, moved_only, start=beside, zoom=guess))) == [("shift", "")]
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_clipped_temperatures_give_their_limit_and_share(land, side):
+    truth, _ = land
+    limit = np.quantile(truth, 0.8 if side > 0 else 0.2)
+    cut = np.minimum(truth, limit) if side > 0 else np.maximum(truth, limit)
+    noise = 0.05 * np.random.default_rng(3).normal(size=SHAPE)
+    of_truth, level, share = clipping(0.9 * cut + 30.0 + noise, truth, side)
+    assert of_truth == pytest.approx(limit, abs=0.05) and level == pytest.approx(0.9 * limit + 30.0, abs=0.05)
+    assert share == pytest.approx(0.2, abs=0.01)
+    assert clipping(0.9 * cut + 30.0 + noise, truth, -side) is None
+    # A map of less contrast, and one that errs where it is warm, are not clipped.
+    assert clipping(0.5 * truth + 140.0 + noise, truth, side) is None
+    assert clipping(truth + field(72, 2.0, 1.0) * (truth > limit), truth, side) is None
+
+
+def test_frames_of_other_poses_are_found_and_a_shift_or_a_still_camera_are_not():
+    wide = 292.0 + field(81, 3.0, 2.0)
+    noise = np.random.default_rng(9)
+    views = [wide[:, 6 * k : 6 * k + 130] for k in range(5)]
+    known = np.ones(views[0].shape, bool)
+
+    def order_of(shows, change=lambda image: image):
+        found = frame_order.FrameOrder()
+        for number, truth in enumerate(views):
+            found.add(change(views[shows[number]]) + 0.1 * noise.normal(size=truth.shape), truth, known)
+        return found.summary()
+
+    assert order_of(range(5)) is None
+    assert order_of(range(5), lambda image: shift(image, (0.0, 2.0), order=3, mode="nearest")) is None
+    for shows, late in (([0, 0, 1, 2, 3], 1), ([1, 2, 3, 4, 4], -1), ([1, 0, 3, 2, 4], None)):
+        # A wrong scale does not matter.
+        found = order_of(shows, lambda image: 0.7 * image + 80.0)
+        assert found["shows"] == shows and found["late"] == late and found["share"] > 0.9, shows
+    views = [views[0]] * 5
+    assert order_of([1, 0, 3, 2, 4]) is None
 
 
 def test_a_sharper_picture_is_not_blurred(land):
@@ -197,10 +287,11 @@ def test_rates_of_the_study_count_what_is_named_rightly_and_wrongly():
 
     found = [case({}, []), case({}, ["flat"]), case({"shift": 2.0}, ["shift"]), case({"shift": 2.0}, ["shift", "blur"]),
              case({"emissivity": 0.1}, ["material"]), case({"offset": 0.1}, [], 0.1),
-             case({"material": 1.0}, ["emissivity"])]  # fmt: skip
+             case({"material": 1.0}, ["emissivity"]), case({"flat": -0.9}, ["flat"]),
+             case({"flat": -0.9}, [])]  # fmt: skip
     rates = study.rates(found)
     assert {name: (each["count"], each["of"]) for name, each in rates.items()} == {
-        "accused": (1, 2), "right": (3, 4), "faint_right": (0, 1), "also_wrong": (2, 5),
+        "accused": (1, 2), "right": (3, 4), "faint_right": (0, 1), "also_wrong": (2, 5), "flat": (1, 2),
     }  # fmt: skip
     # Without a case, the exact interval ends at 1 − 0.025^(1/n).
     assert study.interval(0, 200) == pytest.approx((0.0, 1.0 - 0.025 ** (1 / 200)))
@@ -210,7 +301,7 @@ def test_rates_of_the_study_count_what_is_named_rightly_and_wrongly():
 def test_method_without_any_temperature_is_named():
     ground = {"me_k": None, "mae_k": None, "sd_k": None, "rmse_k": None, "pixels": 0, "pixels_without_temperature": 9}
     own = {"leaks": [], "circular": [], "true_objects": False, "causes": None, "registered": None,
-           "errors": {"radiometric": {"ground": ground}}, "emissivities": {"scene": {}}}  # fmt: skip
-    (found,) = findings.of_method("foreign empty", own)
+           "errors": {"radiometric": {"ground": ground}}, "order": [], "emissivities": {"scene": {}}}  # fmt: skip
+    (found,) = findings.of_method("empty", own)
     assert (found["kind"], found["grave"]) == ("empty", True)
     assert findings.grouped([found])[0][0] == "Without temperatures"

@@ -16,6 +16,7 @@ from thermorender.apps.compare import (
     figures,
 )
 from thermorender.apps.compare.evaluation import LearnedMap, evaluate
+from thermorender.apps.training import training_pictures
 from thermorender.apps.training.dataset import Entry, ThermalScale, read_dataset
 from thermorender.apps.training.dataset_writer import Writer, packed
 from thermorender.apps.training.map_inputs import inputs_of
@@ -122,15 +123,22 @@ def test_maps_of_the_same_pictures_share_one_search_and_each_is_named(undrawn, t
     for name, pictures in (("one", seen), ("two", seen), ("three", other)):
         prints = fingerprints_of(pictures, len(pictures))
         save_map(dataclasses.replace(linear_map(), name=name, fingerprints=prints), tmp_path / f"{name}.npz")
-    searched, search = [], evaluation.search_in
+    searched, search = [], training_pictures.search_in
     monkeypatch.setattr(
-        evaluation, "search_in", lambda model, *rest: searched.append(model.name) or search(model, *rest)
+        training_pictures, "search_in", lambda model, *rest: searched.append(model.name) or search(model, *rest)
     )
     maps = [str(tmp_path / f"{name}.npz") for name in ("one", "two", "three")]
     found = evaluate(dataset, maps, tmp_path / "out")["training_pictures"]
     assert searched == ["one", "three"]
     assert [f"map {name!r}" in found[name]["line"] for name in ("one", "two", "three")] == [True] * 3
     assert found["one"]["found"] == found["two"]["found"] != {} == found["three"]["found"]
+    # A later evaluation of the same pairs finds both searches in the cache, and one that wants none has none.
+    again = evaluate(dataset, maps[1:], tmp_path / "again")
+    assert again["training_pictures"] == {name: found[name] for name in ("two", "three")} and len(searched) == 2
+    monkeypatch.setattr(training_pictures, "kept", None)
+    monkeypatch.setattr(evaluation, "audit", None)
+    without = evaluate(dataset, maps, tmp_path / "without", leaks=False)
+    assert without["audit"] is None and "none was searched for them" in without["training_pictures"]["one"]["line"]
 
 
 def test_exact_map_has_no_error(undrawn, tmp_path, monkeypatch):

@@ -22,16 +22,26 @@ def test_only_the_method_with_true_objects_knows_their_temperatures(tmp_path):
     folder = write_terrain(tmp_path / "s", height=np.zeros((32, 32)), extra=hot)
     level = uniform_map(tmp_path / "level.npz", 0.5)
     found = compare([flight(folder, height=15.0)], tmp_path / "c", [level], Options(settings={"rays": 8}))
-    plain, true = (errors(found, label, part="objects")["me_k"] for label in ("C1 level", "C1 level, true objects"))
+    plain, true = (
+        errors(found, label, part="objects")["me_k"]
+        for label in ("level as kelvin, true materials", "level as kelvin, true materials, true objects")
+    )
     assert plain < -50.0 and abs(true) < 1.0
     # Of radiance, so above that of temperature by a little.
-    assert 0.0 < errors(found, "D the frame's own mean")["me_k"] < 0.2
-    assert errors(found, "B level", part="objects")["me_k"] == pytest.approx(plain, abs=3.0)
+    assert 0.0 < errors(found, "the frame's own mean")["me_k"] < 0.2
+    assert errors(found, "level on the photograph", part="objects")["me_k"] == pytest.approx(plain, abs=3.0)
     target = {
-        label: found["methods"][label]["targets"]["objects"]["plate"] for label in ("B level", "C1 level, true objects")
+        label: found["methods"][label]["targets"]["objects"]["plate"]
+        for label in ("level on the photograph", "level as kelvin, true materials, true objects")
     }
-    assert target["B level"]["true_contrast_k"] > 50.0 and abs(target["B level"]["contrast_k"]) < 0.1
-    assert target["C1 level, true objects"]["found"] == 1.0 and target["C1 level, true objects"]["offset_px"] < 2.0
+    assert (
+        target["level on the photograph"]["true_contrast_k"] > 50.0
+        and abs(target["level on the photograph"]["contrast_k"]) < 0.1
+    )
+    assert (
+        target["level as kelvin, true materials, true objects"]["found"] == 1.0
+        and target["level as kelvin, true materials, true objects"]["offset_px"] < 2.0
+    )
     known = found["targets"]["objects"]["plate"]
     assert known["found"] == 1.0 and known["contrast_k"] == known["true_contrast_k"] > 50.0
     page = (tmp_path / "c" / "report.html").read_text(encoding="utf-8")
@@ -98,10 +108,12 @@ def test_a_picture_is_translated_once_for_all_bounds_and_its_time_counts_for_eac
     # The photographs are translated once more, to calibrate the map for the other land.
     assert asked.count(texels) == len(lands) and asked.count(photograph_of) == 2 * 2 * len(lands)
     own = {label: found for label, found in reported["methods"].items() if found["map"] == "m"}
-    ways = ["m", "m, calibrated", "m, refitted"]
-    assert sorted(own) == [*(f"{letter} {way}" for letter in ("B", "C1") for way in ways), "C2 m, calibrated"]
+    ways = ["", ", calibrated", ", refitted"]
+    uses = ("m as kelvin, true materials", "m on the photograph")
+    known = [f"{use}{way}" for use in uses for way in ways]
+    assert sorted(own) == ["m as kelvin, learned materials, calibrated", *known]
     for label, found in own.items():
-        assert (found["seconds_per_frame"] if label[0] == "B" else found["once_s"]) >= 0.05, label
+        assert (found["seconds_per_frame"] if "photograph" in label else found["once_s"]) >= 0.05, label
 
 
 def test_foreign_frames_are_checked_before_anything_is_rendered(ground, tmp_path):
@@ -118,38 +130,40 @@ def test_foreign_frames_are_checked_before_anything_is_rendered(ground, tmp_path
 
 
 def test_a_new_method_is_a_function_and_a_line(ground, tmp_path, monkeypatch):
-    """It is chosen by its letter, scored like all others, and says why a scene lacks it."""
+    """It is chosen by its kind, scored like all others, and says why a scene lacks it."""
 
     def lukewarm(given):
         if given.scene.name == "ground":
-            yield methods.Method("G", "lukewarm", function=lambda view: np.full(view.known.shape, 293.15))
+            yield methods.Method("lukewarm", "20 °C", function=lambda view: np.full(view.known.shape, 293.15))
         else:
-            yield f"G is left out of {given.scene.name}."
+            yield f"20 °C is left out of {given.scene.name}."
 
-    monkeypatch.setitem(methods.OF_SCENES, "G", lukewarm)
+    monkeypatch.setitem(methods.OF_SCENES, "lukewarm", lukewarm)
     other = write_terrain(tmp_path / "other")
     level = uniform_map(tmp_path / "level.npz", 0.5)
-    options = Options(letters=("G",), arrays=True, settings={"rays": 2, "samples": 1})
+    options = Options(kinds=("lukewarm",), arrays=True, settings={"rays": 2, "samples": 1})
     found = compare([flight(ground, poses=1), flight(other, poses=1)], tmp_path / "c", [level], options)
-    assert list(found["methods"]) == ["G lukewarm"] and "G is left out of other." in found["notes"]
+    assert list(found["methods"]) == ["20 °C"] and "20 °C is left out of other." in found["notes"]
     with np.load(tmp_path / "c/arrays/ground_0000.npz") as kept:
-        assert np.allclose(kept["G_lukewarm"], 293.15, atol=1e-3)
+        assert np.allclose(kept["20__C"], 293.15, atol=1e-3)
         off = (293.15 - kept["reference"])[kept["known"]]
-    assert errors(found, "G lukewarm")["me_k"] == pytest.approx(off.mean(), abs=1e-3)
+    assert errors(found, "20 °C")["me_k"] == pytest.approx(off.mean(), abs=1e-3)
 
 
-def test_a_wrong_letter_lists_the_right_ones(ground, tmp_path, call):
-    with pytest.raises(ThermorenderError, match="--methods='B,X' is not allowed; give some of B, C1, C2, D, E, F"):
-        compare([flight(ground)], tmp_path / "c", ["fok-1to1"], Options(letters=("B", "X")))
+def test_a_wrong_kind_lists_the_right_ones(ground, tmp_path, call):
+    with pytest.raises(
+        ThermorenderError, match="--methods='photograph,X' is not allowed; give some of photograph, true-m"
+    ):
+        compare([flight(ground)], tmp_path / "c", ["fok-1to1"], Options(kinds=("photograph", "X")))
     status, _, err = call("compare", ground, "-o", tmp_path / "c", "--methods", "")
     assert status == 2 and "--methods='' is not allowed" in err and not (tmp_path / "c").exists()
 
 
-def test_without_letters_the_command_compares_all_methods(ground, tmp_path, call, monkeypatch):
+def test_without_kinds_the_command_compares_all_methods(ground, tmp_path, call, monkeypatch):
     asked = []
 
     def reported(flights, output, models, options, *rest):
-        asked.append(tuple(options.letters))
+        asked.append(tuple(options.kinds))
         raise ThermorenderError("seen")
 
     monkeypatch.setattr("thermorender.apps.compare.comparison.compare", reported)
@@ -158,12 +172,12 @@ def test_without_letters_the_command_compares_all_methods(ground, tmp_path, call
         "time_s,east_m,north_m,above_ground_m,yaw_deg,pitch_deg,roll_deg\n0,0,0,8,0,-90,0\n1,0,0,8,0,-90,0\n"
     )
     call("compare", ground, "-o", tmp_path / "c", "--trajectory", log)
-    assert asked == [methods.LETTERS]
+    assert asked == [methods.KINDS]
 
 
 @pytest.mark.slow
 def test_a_camera_of_another_band_leaves_a_maps_temperatures(tmp_path):
-    """B, calibrated B and the terms under a mid-wave camera, with a map of the long wave."""
+    """On the photograph, calibrated too, and the terms under a mid-wave camera, with a map of the long wave."""
     heights = np.random.default_rng(1).uniform(0.0, 0.3, (2, 32, 32))
     lands = [black(write_terrain(tmp_path / f"land{k}", heights[k], structured(5 + k), extra=WEATHER)) for k in (0, 1)]
     text = (lands[1] / "scene.toml").read_text()
@@ -180,13 +194,18 @@ def test_a_camera_of_another_band_leaves_a_maps_temperatures(tmp_path):
             replace(one, scene=one.scene.with_camera(replace(one.scene.camera, name=name, band_um=band_um)))
             for one in flights
         ]
-        options = Options(letters=("B", "C1"), settings={"rays": 8})
+        options = Options(kinds=("photograph", "true-materials"), settings={"rays": 8})
         found[name] = compare(flights, tmp_path / name, [str(tmp_path / "grey.npz")], options)
     long, mid = found["long"], found["mid"]
     # Refitted bounds are of counts, whose quartiles reach farther in the mid-wave.
-    for label in ("B grey", "C1 grey", "B grey, calibrated", "C1 grey, calibrated"):
+    for label in (
+        "grey on the photograph",
+        "grey as kelvin, true materials",
+        "grey on the photograph, calibrated",
+        "grey as kelvin, true materials, calibrated",
+    ):
         one, other = (errors(each, label) for each in (long, mid))
-        # Pixels mix radiance, the mid-wave weighs warm parts more, and B has no air.
+        # Pixels mix radiance, the mid-wave weighs warm parts more, and photographs have no air.
         assert other["me_k"] == pytest.approx(one["me_k"], abs=0.5), label
         assert other["mae_k"] == pytest.approx(one["mae_k"], abs=0.5), label
     for one, other in zip(long["scenes"], mid["scenes"], strict=True):

@@ -48,10 +48,15 @@ def test_a_map_that_has_seen_the_scene_is_found(tmp_path):
     found = compare([flown], tmp_path / "c", [leaky, fair, unknown, larger], options)
     (text,) = {each["says"] for each in found["findings"] if each["kind"] == "leak"}
     assert text.startswith("training has seen seen: 3 of 3 photographs") and "'p3'" in text
-    assert "leak" in kinds(found, "B leaky") and "leak" not in kinds(found, "B fair")
-    assert "what this map was trained on is unknown" in found["methods"]["B unknown"]["training"]["audited"]
-    assert found["methods"]["B larger"]["training"]["audited"].count("not audited: it was trained on 40 pairs")
-    assert "3 photographs" in found["methods"]["B fair"]["training"]["audited"]
+    assert "leak" in kinds(found, "leaky on the photograph") and "leak" not in kinds(found, "fair on the photograph")
+    assert (
+        "what this map was trained on is unknown"
+        in found["methods"]["unknown on the photograph"]["training"]["audited"]
+    )
+    assert found["methods"]["larger on the photograph"]["training"]["audited"].count(
+        "not audited: it was trained on 40 pairs"
+    )
+    assert "3 photographs" in found["methods"]["fair on the photograph"]["training"]["audited"]
 
 
 def test_provenance_is_read_from_the_file_of_a_map():

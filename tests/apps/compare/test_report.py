@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from compare_support import flight, summary_of, uniform_map, view
+from compare_support import flight, rendered, summary_of, uniform_map, view
 
 from thermorender.apps.compare import (
     figures,
@@ -12,14 +12,17 @@ from thermorender.apps.compare.comparison import Options, compare
 
 
 def test_the_introduction_explains_the_methods_of_the_run_only():
-    few = summary_of([("B m", "B", "own"), ("C1 m", "C1", "own")])
-    assert [name for name, _ in report.explained(few)] == ["B", "C1"]
-    assert "rendered with true materials" in dict(report.explained(few))["C1"]
-    more = summary_of([("D the frame's own mean", "D", None), ("C1 m, calibrated", "C1", "calibrated"),
-                       ("C1 m, true objects", "C1", "own")], assumed=True)  # fmt: skip
+    few = summary_of(
+        [("m on the photograph", "photograph", "own"), ("m as kelvin, true materials", "true-materials", "own")]
+    )
+    assert [name for name, _ in report.explained(few)] == ["map on the photograph", "map as kelvin, true materials"]
+    assert "rendered with true materials" in dict(report.explained(few))["map as kelvin, true materials"]
+    more = summary_of([("the frame's own mean", "frame-mean", None),
+                       (rendered("m", ", calibrated"), "true-materials", "calibrated"),
+                       (rendered("m", ", true objects"), "true-materials", "own")], assumed=True)  # fmt: skip
     found = dict(report.explained(more))
-    assert list(found) == ["C1", "D the frame's own mean", "calibrated", "true objects"]
-    assert "rendered with the scene's materials" in found["C1"]
+    assert list(found) == ["map as kelvin, true materials", "the frame's own mean", "calibrated", "true objects"]
+    assert "rendered with the scene's materials" in found["map as kelvin, true materials"]
     page = report.introduction(more)
     assert "1 scene, 1 pose, 3 methods." in page and "true temperatures and the scene&#x27;s materials" in page
     assert "Errors are" not in report.introduction(summary_of(references=(False, False)))
@@ -35,8 +38,8 @@ def test_each_frame_has_its_own_scale_beside_the_common_one(tmp_path, monkeypatc
     titles = {axis.get_title(): axis.images[0].get_clim() for axis in axes}
     (name,) = [title for title in titles if title.startswith("own scale, ")]
     common, own = titles["cold"], titles[name]
-    assert name == f"own scale, {own[0]:.1f}…{own[1]:.1f} °C"
-    assert titles["reference, computed"] == common == pytest.approx((16.95, 26.75), abs=0.01)
+    assert name == f"own scale, {own[0]:.1f}…{own[1]:.1f} K"
+    assert titles["reference, computed"] == common == pytest.approx((290.1, 299.9), abs=0.01)
     assert own == pytest.approx((common[0] - 40.0, common[1] - 40.0), abs=0.01) and "error" in titles
 
 
@@ -45,10 +48,10 @@ def test_tables_of_the_terminal_are_in_kelvin():
               "interval_95": {"me_k": None, "mae_k": (1.5, 2.5)}}  # fmt: skip
     pairs = [("a", "b", 1.0), ("a", "c", None), ("b", "c", 3.0)]
     apart = [{"one": one, "other": other, "me_k": k, "mae_k": k, "rmse_k": k, "pixels": 7} for one, other, k in pairs]
-    summary = {"methods": {"B m": {"errors": {"radiometric": {"ground": ground}}}, "a": {"errors": None}},
+    summary = {"methods": {"b": {"errors": {"radiometric": {"ground": ground}}}, "a": {"errors": None}},
                "scenes": [{"name": "known", "differences": []}, {"name": "real", "differences": apart}]}  # fmt: skip
     found, apart_shown = report.terminal(summary)
-    assert found.rows == [("B m", "-1.000", "2.000", "1.50…2.50", "3.000", "4.000", "5")]
+    assert found.rows == [("b", "-1.000", "2.000", "1.50…2.50", "3.000", "4.000", "5")]
     assert apart_shown.rows == [
         ("", "b", "a", "+1.000", "1.000", "1.000", "7"),
         ("", "c", "a", "none", "none", "none", "7"),
@@ -58,20 +61,23 @@ def test_tables_of_the_terminal_are_in_kelvin():
     assert [row[0] for row in report.terminal(summary)[1].rows] == ["real", "real", "other"]
 
 
-def test_axes_have_plain_numbers_and_legends_can_be_read(monkeypatch):
-    monkeypatch.setattr(figures, "png", lambda drawing: drawing)
-    own = [{"letter": letter, "map": "m", "bounds": "own", "seconds_per_frame": 0.01 * (k + 1),
+def test_printed_figures_have_plain_numbers_and_words_that_can_be_read_in_a_column():
+    own = [{"kind": kind, "map": "m", "bounds": "own", "seconds_per_frame": 0.01 * (k + 1),
             "errors": {"radiometric": {"ground": {"mae_k": 4.0 + 2.0 * k}}}}
-           for k, letter in enumerate(("B", "C1"))]  # fmt: skip
+           for k, kind in enumerate(("photograph", "true-materials"))]  # fmt: skip
     drawing = figures.error_and_time({"methods": dict(enumerate(own))})
     drawing.canvas.draw()
     (axis,) = drawing.axes
     labels = [each.get_text() for which in ("major", "minor") for each in axis.get_yticklabels(which=which)]
     assert {"4", "5", "6"} <= set(labels) and not any("$" in label for label in labels)
-    assert axis.get_title() == "○ 2D translation  □ rendered"
-    # Points of a figure at its resolution are larger than those of a page, of which 72 are 96 pixels.
-    sizes = [each.get_fontsize() * figures.DPI / 96.0 for each in axis.get_legend().get_texts()]
-    assert sizes and min(sizes) >= 9.0
+    (legend,) = drawing.legends
+    assert [each.get_text() for each in legend.get_texts()] == ["m", "on the photograph", "as kelvin, true materials"]
+    # In a column of 85 mm, words of 7 points are those of a caption's size.
+    assert drawing.get_size_inches()[0] * 25.4 == pytest.approx(85.0)
+    words = [*legend.get_texts(), axis.xaxis.label, axis.yaxis.label, *axis.get_xticklabels()]
+    assert min(each.get_fontsize() for each in words) >= 7.0
+    inside = drawing.bbox.padded(1.0)
+    assert all(inside.contains(*corner) for each in (legend, axis) for corner in each.get_tightbbox().corners())
 
 
 def test_the_photograph_is_grey_where_there_is_no_terrain():

@@ -52,6 +52,28 @@ def copied(rgb, quality=60):
     return cv2.imdecode(cv2.imencode(".jpg", rgb, [cv2.IMWRITE_JPEG_QUALITY, quality])[1], cv2.IMREAD_COLOR)
 
 
+def test_a_later_audit_reads_no_picture_unless_the_pairs_changed(tmp_path, monkeypatch):
+    monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path / "cache"))
+    pictures = {("train", "a"): lands()["heath0"], ("test", "b"): copied(lands()["heath0"])}
+    first = audits.audit(dataset(tmp_path / "d", pictures))
+    assert first.leaks["duplicate"].tests == 1
+    read, plain = [], duplicates.sketch
+    monkeypatch.setattr(duplicates, "sketch", lambda rgb: read.append(1) or plain(rgb))
+    again = read_dataset(tmp_path / "d")
+    assert audits.audit(again) == first and not read
+    # Other parts, and other pictures of the same keys.
+    with pytest.raises(ThermorenderError, match="has no pairs in part 'test'"):
+        audits.audit(again.split({"a": "train", "b": "train"}))
+    swapped = audits.audit(again.split({"a": "test", "b": "train"}))
+    assert len(read) == 3 and swapped.leaks["duplicate"].worst[0][:2] == ("a", "b")
+    other = dataset(tmp_path / "e", pictures | {("test", "b"): lands()["village1"]})
+    assert audits.audit(other).leaks["duplicate"].tests == 0 and len(read) == 6
+    # A damaged file of the cache is searched again.
+    for path in (tmp_path / "cache").rglob("*.npz"):
+        path.write_bytes(path.read_bytes()[:-3])
+    assert audits.audit(again) == first and len(read) == 9
+
+
 def test_planted_copy_is_found_and_named_and_no_other_picture(tmp_path):
     pictures = {("test" if name in ("heath1", "village2") else "train", name): rgb for name, rgb in lands().items()}
     found = audits.audit(dataset(tmp_path / "clean", pictures))

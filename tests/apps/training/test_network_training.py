@@ -17,6 +17,7 @@ from safetensors.torch import load_file
 from support import slow
 from training_support import SMALL, example, examples, kelvin, picture, task_of, write
 
+from thermorender import files
 from thermorender.apps.training.map_training import train_map
 from thermorender.apps.training.networks import checkpoint, coarse, loop
 from thermorender.apps.training.networks.crops import Crops
@@ -26,7 +27,7 @@ from thermorender.apps.training.training_methods import method
 from thermorender.errors import ThermorenderError
 from thermorender.learned.networks.predictor import Network
 from thermorender.learned.networks.recipes import RECIPES
-from thermorender.learned.temperature_map import Inputs
+from thermorender.learned.temperature_map import Inputs, load_model
 
 TESTS = Path(__file__).resolve().parents[2]
 MORE = {"crops": 72, "every": 24}
@@ -199,6 +200,32 @@ def test_a_stopped_and_resumed_training_is_the_same(tmp_path, name, at):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("name", "at"), [("compact", 9), *slow(("pix2pix", 5))])
+def test_the_best_state_of_a_stopped_training_is_taken_and_its_run_goes_on(tmp_path, name, at):
+    options = SMALL if name == "compact" else SMALL | {"crops": 16, "every": 4, "batch": 2}
+    pairs, run = examples(), tmp_path / "r"
+    whole = train_network(task_of(name, pairs, tmp_path / "whole", **options), name)
+    with pytest.raises(Stopped):
+        train_network(task_of(name, pairs, run, progress=stopping(1), **options), name)
+    with pytest.raises(ThermorenderError, match="has no validated state yet; train on to the first validation"):
+        train_network(replace(task_of(name, pairs, run, **options), best=True), name)
+    with pytest.raises(Stopped):
+        train_network(task_of(name, pairs, run, progress=stopping(at), resume=True, **options), name)
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    # Also while another process trains there.
+    with files.in_use(run):
+        taken = train_network(replace(task_of(name, pairs, run, **options), best=True), name)
+    assert before == {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    log = read_log(run)
+    least = min(log, key=lambda line: line["validation_mae_k"])
+    assert 0 < len(log) < len(read_log(tmp_path / "whole")) and taken.trained["best_crops"] == least["crops"]
+    assert taken.trained["crops"] == log[-1]["crops"]
+    with pytest.raises(ThermorenderError, match=r"holds a training of other settings \(options\)"):
+        train_network(replace(task_of(name, pairs, run, **options | {"rate": 1e-5}), best=True), name)
+    again = train_network(task_of(name, pairs, run, resume=True, **options), name)
+    assert all(np.array_equal(values, again.state[key]) for key, values in whole.state.items())
+
+
 def test_a_training_killed_at_any_moment_and_resumed_is_the_same(tmp_path):
     """A process is killed at random moments and resumed until it ends: nothing is lost and nothing is doubled."""
     # Every step waits, so that a fast machine does not finish before it is killed.
@@ -493,8 +520,18 @@ def test_the_verb_trains_and_resumes(tmp_path, call):
     assert status == 0 and "m " in out, err
     kept = json.loads((tmp_path / "e" / "evaluation.json").read_text("utf-8"))
     assert kept["models"]["m"]["about"]["training"]["crops"] == 48
+    # The run knows its own options.
+    at_best = ("train", "compact", tmp_path / "d", "--run", tmp_path / "m.run", "--best", "-o", tmp_path / "n.npz")
+    status, out, err = call(*at_best)
+    assert status == 0 and "own error" in out, err
+    one, other = (load_model(tmp_path / f"{name}.npz") for name in "mn")
+    assert one.about["options"] == other.about["options"] and one.error_k == other.error_k
+    status, out, err = call("evaluate", tmp_path / "n.npz", "--dataset", tmp_path / "d", "-o", tmp_path / "f")
+    assert status == 0 and "n " in out, err
+    status, _, err = call(*at_best, "--resume")
+    assert status == 2 and "--resume trains on and --best does not" in err
     status, _, err = call("train", "trees", tmp_path / "d", "--resume", "-o", tmp_path / "n.npz")
-    assert status == 2 and "--run and --resume belong to networks, and 'trees' is not one; leave them out" in err
+    assert status == 2 and "--run, --resume and --best belong to networks, and 'trees' is not one" in err
 
 
 @pytest.mark.slow

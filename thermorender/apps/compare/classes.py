@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from thermorender.apps.compare.ground_intervals import Cells
 from thermorender.apps.compare.sums import WIDTH, Sums, rows_by
 from thermorender.apps.compare.view import View
 from thermorender.apps.training.dataset import Entry
@@ -33,8 +34,6 @@ EDGES = (f"within {EDGE_PX} px of an edge", "elsewhere")
 # Class limits of range [m] and of the angle between the line of sight and the vertical [deg].
 RANGES_M = (50.0, 100.0, 200.0, 400.0, 800.0)
 ANGLES_DEG = (15.0, 30.0, 45.0, 60.0, 75.0)
-# Ground blocks per side of a land.
-BLOCKS = 8
 GROUND = "ground"
 # Labels of pairs that define groups.
 LABELS = ("kind", "view", "weather", "season")
@@ -73,11 +72,10 @@ def class_names(limits: Sequence[float], unit: str) -> list[str]:
 class PixelClasses:
     """Classes of the known pixels of a View with a reference, as flat numbers.
 
-    A pair has classes by edges; a pose also by `objects`, range, view angle, and ground blocks between the lowest and
-    highest east and north, `corners` (2, 2) [m].
+    A pair has classes by edges; a pose also by `objects`, range, view angle, and cells of ground of `cell_m` [m].
     """
 
-    def __init__(self, view: View, objects: Sequence[str] = (), corners: ArrayLike | None = None) -> None:
+    def __init__(self, view: View, objects: Sequence[str] = (), cell_m: float | None = None) -> None:
         assert view.truth is not None
         known = view.known
         self.known, self.surfaces = known, [GROUND, *objects]
@@ -92,19 +90,20 @@ class PixelClasses:
             parts += [np.digitize(distance, RANGES_M), np.digitize(slant, ANGLES_DEG)]
         self._shape = (len(self.surfaces), NO_MATERIAL + 1, *map(len, self.groupings.values()))
         self._flat = np.ravel_multi_index((surface, view.material[known], *parts), self._shape)
-        self._block: NDArray[np.intp] | None = None
-        if corners is not None and view.position is not None:
-            low, high = np.asarray(corners, np.float64)
-            cell = (view.position[known][:, :2] - low) / np.maximum(high - low, 1e-9) * BLOCKS
-            cell = np.clip(cell.astype(int), 0, BLOCKS - 1)
-            self._block = np.where(surface == 0, cell[:, 1] * BLOCKS + cell[:, 0], BLOCKS * BLOCKS)
+        self._cell_m = cell_m
+        if cell_m is not None and view.position is not None:
+            place = np.floor(view.position[view.ground][:, :2].astype(np.float64) / cell_m).astype(np.int32)
+            self._places, self._cell = np.unique(place, axis=0, return_inverse=True)
+            self._on_ground = surface == 0
 
     def sums(self, error: NDArray[np.float64]) -> Sums:
         """Return the sums of an error (n,) of the known pixels [K]: (surface, material, …groupings, 5)."""
         return rows_by(error, self._flat, int(np.prod(self._shape))).reshape(*self._shape, WIDTH)
 
-    def block_sums(self, error: NDArray[np.float64]) -> Sums:
-        """Return the sums of the ground blocks, (BLOCKS² or 0, 5)."""
-        if self._block is None:
-            return np.zeros((0, WIDTH))
-        return rows_by(error, self._block, BLOCKS * BLOCKS + 1)[:-1]
+    def cells(self, error: NDArray[np.float64], land: str) -> Cells | None:
+        """Return the sums of an error (n,) of the known pixels by cells of a land's ground; None without positions."""
+        if self._cell_m is None:
+            return None
+        found = rows_by(error[self._on_ground], self._cell, len(self._places))[:, :3]
+        used = found[:, 0] > 0
+        return Cells(land, self._cell_m, self._places[used], found[used].astype(np.float32))

@@ -7,7 +7,7 @@ reference, renders the frames of each method, and scores all methods with the sa
 import csv
 import shutil
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
@@ -47,13 +47,15 @@ BALANCE_DAY_K, BALANCE_NIGHT_K = (0.3, 3.1), (0.2, 1.6)
 class Options:
     """Options of a comparison."""
 
-    letters: Collection[str] = methods.LETTERS  # Methods to compare with the reference
+    kinds: Collection[str] = methods.KINDS  # Methods to compare with the reference
     privileged: str | None = None  # File of a map that also takes the material as input
     # Folders of other programs' frames, by name
     foreign: Mapping[str, str | PathLike[str]] = field(default_factory=dict)
+    # Run time of a frame [s] of foreign programs and of maps on the photograph, by name, in place of that measured here
+    times_s: Mapping[str, float] = field(default_factory=dict)
     # Training data of the maps, in which the scenes' photographs are searched
     datasets: Sequence[Dataset] = ()
-    emissivity: EmissivitySpec = field(default_factory=methods.learned_materials)  # Learned materials of C2
+    emissivity: EmissivitySpec = field(default_factory=methods.learned_materials)  # Learned materials
     arrays: bool = False  # Whether to keep the frames as `.npz`, apparent temperature [K]
     seed: int = 0  # Of the sensor's noise and of the intervals
     settings: Mapping[str, Any] = field(default_factory=dict)  # Keywords of Renderer
@@ -107,7 +109,7 @@ def compare(
     options = options or Options()
     shown = [each if isinstance(each, Flight) else Flight.of(*each) for each in flights]
     report = progress or (lambda step, share: None)
-    methods.check_letters(options.letters)
+    methods.check_kinds(options.kinds)
     _check_scenes(shown)
     contestants = _contestants(shown, models, options)
     known = [provenance.TrainingPictures(each, lambda share: report("sketching training pictures", share))
@@ -115,7 +117,7 @@ def compare(
     began = time.perf_counter()
     lands = training.lands_of([flight.scene for flight in shown])
     calibrated = [model for _, model in contestants.maps if not model.needs]
-    thermals = _thermals(shown, lands, calibrated if {"B", "C1", "C2"} & set(options.letters) else [], options, report)
+    thermals = _thermals(shown, lands, calibrated if set(methods.OF_MAPS) & set(options.kinds) else [], options, report)
     totals = Totals()
     scenes, notes = [], []
     photographs: dict[str, list[NDArray[np.uint8]]] = {}
@@ -129,7 +131,7 @@ def compare(
             campaign = training.training_of(thermal, thermals, flight.scene.camera)
             setup, left_out = _setup(number, flight, land, campaign, contestants, options, work, own_report)
             notes += left_out
-            trial = Trial(setup, totals, options.seed, draft if options.arrays else None)
+            trial = Trial(setup, totals, options.seed, draft if options.arrays else None, options.times_s)
             trial.run(pictures, own_report, spread)
             scenes.append(trial.summary())
             photographs[flight.scene.name] = trial.photographs
@@ -140,7 +142,7 @@ def compare(
             writer.writerow(COLUMNS)
             writer.writerows(totals.table)
         formats.write_json(draft / "comparison.json", summary)
-        write_page(draft / "report.html", summary, pictures.views)
+        write_page(draft / "report.html", summary, pictures)
     shutil.rmtree(work, ignore_errors=True)
     return summary
 
@@ -169,6 +171,10 @@ def _contestants(flights: Sequence[Flight], models: Sequence[str], options: Opti
     loaded = _Contestants(maps, privileged, [])
     _check_names([*(model.name for model in loaded.models), *options.foreign], "methods",
                  "maps, the privileged map and foreign frames different names")  # fmt: skip
+    known = [*(model.name for _, model in maps), *options.foreign]
+    for name in options.times_s:
+        if name not in known:
+            raise ThermorenderError(f"run_time={name!r} is neither a map nor another program; give {', '.join(known)}")
     for flight in flights:
         scene, camera = flight.scene, flight.scene.camera
         loaded.foreign.append([
@@ -223,14 +229,16 @@ def _setup(
     scene, truth = flight.scene, _truth(flight.scene)
     reference = renderer_of(truth or scene, progress=report, **options.settings)
     learned = None
-    if "C2" in options.letters and scene.spec.terrain.orthophoto and scene.world is None:
+    if methods.LEARNED_MATERIALS in options.kinds and scene.spec.terrain.orthophoto and scene.world is None:
         report("classifying materials from the orthophoto", 0.0)
         learned = scene.with_learned_materials(options.emissivity)
     given = methods.Given(scene, reference, truth is not None, campaign, learned, contestants.privileged,
                           contestants.foreign[number], report)  # fmt: skip
-    made, left_out = methods.methods_of(options.letters, contestants.maps, given)
+    made, left_out = methods.methods_of(options.kinds, contestants.maps, given)
     if scene.world is not None:
-        left_out.append(f"B and C1 of {scene.name} are not split into terms: its ground is in tiles.")
+        left_out.append(
+            f"Maps on the photograph and as kelvin are not split into terms in {scene.name}: its ground is in tiles."
+        )
     frames = Frames(work, flight, reference.scene, learned, dict(options.settings))
     return Setup(flight, land, reference, truth is not None, campaign, frames, made), left_out
 
@@ -243,9 +251,9 @@ def _summary(
     options: Options,
 ) -> dict[str, Any]:
     """Return the summary of a comparison, as plain numbers."""
-    constant, seed = totals.methods.get("D constant"), options.seed
+    constant, seed = totals.methods.get(methods.A_CONSTANT), options.seed
     summary: dict[str, Any] = {
-        "scenes": scenes, "notes": [*_notes(scenes, totals, options.letters), *dict.fromkeys(left_out)],
+        "scenes": scenes, "notes": [*_notes(scenes, totals, options.kinds), *dict.fromkeys(left_out)],
         "targets": totals.targets.summary(), "methods": {},
         "seed": seed, "machine": machine(),
         "settings": {key: str(value) for key, value in options.settings.items()}, "versions": versions(),
@@ -261,37 +269,37 @@ def _summary(
 
 
 def _origins(
-    models: Iterable[TemperatureMap],
+    models: Sequence[TemperatureMap],
     known: Sequence[provenance.TrainingPictures],
     photographs: Mapping[str, Sequence[NDArray[np.uint8]]],
 ) -> dict[str, provenance.Provenance]:
     """Return {map: Provenance}, audited against the available training pictures."""
-    found = {}
+    found = {model.name: provenance.provenance_of(model) for model in models}
+    provenance.search_fingerprints(list(found.values()), models, photographs)
     for model in models:
-        own = provenance.provenance_of(model)
-        provenance.search_fingerprints(own, model, photographs)
         pictures = provenance.matched(known, model)
         if pictures is not None:
-            pictures.audit(own, photographs)
-        found[model.name] = own
+            pictures.audit(found[model.name], photographs)
     return found
 
 
-def _notes(scenes: Sequence[dict[str, Any]], totals: Totals, letters: Collection[str]) -> list[str]:
+def _notes(scenes: Sequence[dict[str, Any]], totals: Totals, kinds: Collection[str]) -> list[str]:
     """Return sentences that a reader should know before the numbers."""
 
     def of(chosen: Callable[[dict[str, Any]], bool], sentence: str) -> list[str]:
         names = ", ".join(each["name"] for each in scenes if chosen(each))
         return [sentence.format(names)] if names else []
 
-    unscored = [letter for letter in ("D", "E", "F") if letter in letters]
-    alone = [name for name in ("D constant", "E mean per material") if name[0] in letters]
+    words = {methods.CONSTANT: methods.A_CONSTANT, methods.PER_MATERIAL: "a mean per material",
+             methods.FRAME_MEAN: methods.OWN_MEAN, methods.BALANCE: "the heat balance of tables"}  # fmt: skip
+    unscored = [words[kind] for kind in words if kind in kinds]
+    alone = [words[kind] for kind in (methods.CONSTANT, methods.PER_MATERIAL) if kind in kinds]
     left_out = f", and {' and '.join(alone)} {'is' if len(alone) == 1 else 'are'} left out" if alone else ""
     notes = of(
         lambda each: not each["reference"],
         "The true temperature of {} is unknown: only differences between "
         "methods are reported there, not errors."
-        + (f" {' and '.join(unscored)}, which need a truth, are left out there." if unscored else ""),
+        + (f" What needs a truth is left out there: {', '.join(unscored)}." if unscored else ""),
     )
     notes += of(
         lambda each: each["computed"],
@@ -306,7 +314,7 @@ def _notes(scenes: Sequence[dict[str, Any]], totals: Totals, letters: Collection
     )
     if methods.OWN_MEAN in totals.methods:
         notes.append(
-            f"{methods.OWN_MEAN} needs the truth of the frame itself. Its error is that of a method that "
+            f"{methods.OWN_MEAN.capitalize()} needs the truth of the frame itself. Its error is that of a method that "
             "knows only the mean level."
         )
     notes += of(
@@ -323,12 +331,13 @@ def _notes_on_errors(scenes: Sequence[dict[str, Any]], totals: Totals) -> list[s
     if not lands:
         return []
     found = [each.method for each in totals.methods.values()]
-    like_f = " like F" if any(method.letter == "F" for method in found) else ""
+    tables = " like that of tables" if any(method.kind == methods.BALANCE for method in found) else ""
     trained = "; maps called procedural were trained on such scenes"
     trained = trained if any(method.name.startswith("procedural") for method in found) else ""
     return [
-        "Intervals are 95 %, by a bootstrap of poses, of ground blocks or of whole scenes, whichever are widest; "
+        "Intervals are 95 %, by a bootstrap of poses and blocks of ground together, or of whole scenes, if wider. A "
+        "block's side is five correlation lengths of the error; "
         f"{'one land was' if lands == 1 else f'{lands} lands were'} seen.",
-        f"A scene of make-scene has temperatures by a heat balance{like_f}, with properties drawn from their "
+        f"A scene of make-scene has temperatures by a heat balance{tables}, with properties drawn from their "
         f"uncertainty and with hidden fields{trained}. Errors that all of them share do not show here.",
     ]

@@ -34,7 +34,7 @@ from thermorender.apps.compare.view import Image, Levels, PairViews, View
 from thermorender.apps.training.audit import audit
 from thermorender.apps.training.dataset import Dataset, Entry, ThermalScale
 from thermorender.apps.training.map_inputs import inputs_of
-from thermorender.apps.training.training_pictures import Search, search_in
+from thermorender.apps.training.training_pictures import Search, searches_in
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
 from thermorender.learned.temperature_map import Inputs, TemperatureMap, load_model
@@ -97,7 +97,7 @@ class LearnedMap(Method):
     def of(cls, name: str, model: TemperatureMap, privileged: bool = False) -> "LearnedMap":
         """Return a map by the name in tables; a privileged one takes the material as input."""
         knows, kind = ("the material", "privileged") if privileged else (", ".join(model.needs), "map")
-        return cls("", name, knows=knows, model=model, kind=kind)
+        return cls(kind, name, knows=knows, model=model)
 
     def temperature(self, view: View) -> Image:
         """Return its apparent temperature, (H, W) float32 [K]."""
@@ -149,7 +149,7 @@ def baselines(training: TrainingPart) -> list[Method]:
         return None if redrawn is None or view.truth is None else view.truth + (redrawn - view.truth) / np.sqrt(2.0)
 
     return [
-        Method("", name, knows=knows, function=function, kind=kind)
+        Method(kind, name, knows=knows, function=function)
         for name, kind, knows, function in (
             ("constant: mean of the training part", "baseline", "", constant_of_part),
             ("the frame's own mean", "baseline", "the truth's mean", own_mean),
@@ -179,14 +179,15 @@ def evaluate(
     seed: int = 0,
     progress: Progress | None = None,
     spread: Spread = map,
+    leaks: bool = True,
 ) -> dict[str, Any]:
     """Evaluate learned maps (names or files) on a part of a data set; return the result, which is also written.
 
     The new `folder` is written whole or not at all: `evaluation.json`, `evaluation.md` and figures. `privileged` is the
     file of a map that takes the material as input, `foreign` {name: folder} other programs' pictures. `split` {key:
     part} replaces the data set's. `limit` is the number of pairs to score, evenly spaced, and of training pairs to
-    read; `seed` is the bootstrap's. `progress` takes (step, share done); `spread` (do, units) → do(unit) of each, in
-    order.
+    read; `seed` is the bootstrap's. `leaks` says whether the pictures are searched for those of training. `progress`
+    takes (step, share done); `spread` (do, units) → do(unit) of each, in order.
     """
     if not models:
         raise ThermorenderError("models is empty; give at least one learned map, by its name or file")
@@ -200,16 +201,16 @@ def evaluate(
     began, levels = time.perf_counter(), Levels(dataset.scale)
     views = PairViews(scored, levels)
     # The maps were trained on the pairs that `limit` leaves out, too.
-    leaks = _audit(dataset.of("train"), scored) if part != "train" and train.entries else None
+    audited = _audit(dataset.of("train"), scored) if leaks and part != "train" and train.entries else None
     training = read_training_part(train, levels, lambda share: report("reading the training part", share))
     bounds = training.bounds_k or _model(maps[0]).range_k
-    seen = _training_pictures([_model(each) for each in maps], scored, report)
+    seen = _training_pictures([_model(each) for each in maps], scored, report, leaks)
     drawn = [*maps, *_foreign(foreign or {}, views)]
     scores = _scores(views, [*drawn, *baselines(training)], bounds, report, spread)
     texts = [*models, *([privileged] if privileged else [])]
     result = {
         "part": part, "split": "given" if split is not None else "the data set's own", "limit": limit, "seed": seed,
-        "training_pairs": training.pairs, "bounds_k": list(bounds), "audit": leaks,
+        "training_pairs": training.pairs, "bounds_k": list(bounds), "audit": audited,
         "training_pictures": {each.label: own.summary() for each, own in zip(maps, seen, strict=True)},
         **_result(dataset, scored, maps, texts, scores, seed),
     }  # fmt: skip
@@ -236,9 +237,9 @@ def _foreign(folders: Mapping[str, str | PathLike[str]], views: PairViews) -> li
     entries = views.dataset.entries
     others = [Foreign.of_pairs(name, Path(place), entries) for name, place in folders.items()]
     return [
-        Method("", each.name if each.scaled else f"{each.name} after its best affine fit",
+        Method("foreign", each.name if each.scaled else f"{each.name} after its best affine fit",
                knows="" if each.scaled else "the truth, by two numbers",
-               function=each.fitted(views).temperature, kind="foreign") for each in others
+               function=each.fitted(views).temperature) for each in others
     ]  # fmt: skip
 
 
@@ -418,22 +419,17 @@ def _audit(train: Dataset, scored: Dataset) -> dict[str, Any]:
 
 
 def _training_pictures(
-    models: Sequence[TemperatureMap], scored: Dataset, report: Callable[[str, float], object]
+    models: Sequence[TemperatureMap], scored: Dataset, report: Callable[[str, float], object], searched: bool
 ) -> list[Search]:
-    """Return the Search for each map's training pictures in the scored ones; maps of the same pictures share it."""
-    entries, found = scored.entries, dict[tuple[bytes, int] | None, Search]()
+    """Return the Search for each map's training pictures in the scored ones, which were not searched unless asked."""
+    entries = scored.entries
+    if not searched:
+        return [Search(model, len(entries)) for model in models]
 
     def read(number: int) -> NDArray[np.uint8]:
         return scored.pair(entries[number], truth=False).visible
 
-    searches = []
-    for model in models:
-        prints, step = model.fingerprints, f"searching training pictures of {model.name}"
-        key = None if prints is None else (prints.rows.tobytes(), prints.pictures)
-        if key not in found:
-            found[key] = search_in(model, [entry.key for entry in entries], read, partial(report, step))
-        searches.append(replace(found[key], model=model))
-    return searches
+    return searches_in(models, [entry.key for entry in entries], read, report, scored.digest())
 
 
 def _notes(scale: ThermalScale, maps: Sequence[LearnedMap], entries: Sequence[Entry]) -> list[str]:

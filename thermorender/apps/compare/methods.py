@@ -1,12 +1,12 @@
 """The methods that are compared: each makes the apparent temperature of a View.
 
-*B* is a learned map applied to the photograph of the pose, as in the published 2D methods. *C* is the map applied to
-the orthophoto, converted to kinetic temperature and rendered: *C1* with true materials, *C2* with learned ones. *D*,
-one constant, and *E*, one temperature per material, come from thermal frames of other lands in the same hour and
-weather. *F* is the heat balance with table properties and the scene's weather. *P* is a privileged map, which takes the
-true material as input. Foreign frames go under their program's name. `knows` lists inputs beyond a photograph.
+A learned map is applied to the photograph of the pose, as in the published 2D methods, or to the orthophoto, converted
+to kinetic temperature and rendered, with true or with learned materials. A constant and one temperature per material
+come from thermal frames of other lands in the same hour and weather. The heat balance has table properties and the
+scene's weather. A privileged map takes the true material as input. Foreign frames go under their program's name.
+`knows` lists inputs beyond a photograph.
 
-B to P get object temperatures from the map, by colour, or from the material's table. A map of intensities is used with
+Object temperatures come from the map, by colour, or from the material's table. A map of intensities is used with
 its own bounds, with bounds refitted to the campaign, and calibrated to it; the last two under the campaign's sky.
 
 A new method is a function of a `Given`, which yields its Methods, and sentences on it or on why it is left out, and a
@@ -42,8 +42,18 @@ from thermorender.scene.scene import Scene
 from thermorender.scene.spec import EmissivitySpec, TemperatureSpec
 
 OWN, REFITTED, CALIBRATED = "own", "refitted", "calibrated"
-# Label of the D that takes each frame's mean from the reference.
-OWN_MEAN = "D the frame's own mean"
+PHOTOGRAPH, TRUE_MATERIALS, LEARNED_MATERIALS = "photograph", "true-materials", "learned-materials"
+CONSTANT, PER_MATERIAL, FRAME_MEAN, BALANCE = "constant", "per-material", "frame-mean", "balance"
+PRIVILEGED, FOREIGN = "privileged", "foreign"
+# Uses of a map, with which it competes with a constant of the hour, and methods without a pattern of their own.
+MAPPED, FLAT = (PHOTOGRAPH, TRUE_MATERIALS, LEARNED_MATERIALS, PRIVILEGED), (CONSTANT, PER_MATERIAL, FRAME_MEAN)
+# Labels of a map's uses; all other methods are called by their names.
+LABELS = {
+    PHOTOGRAPH: "{} on the photograph", TRUE_MATERIALS: "{} as kelvin, true materials",
+    LEARNED_MATERIALS: "{} as kelvin, learned materials",
+}  # fmt: skip
+# Names of the constant of the hour, and of the constant that takes each frame's mean from the reference.
+A_CONSTANT, OWN_MEAN = "a constant", "the frame's own mean"
 THERMAL = "thermal frames of other lands"
 _WORDS = {"terrain": "relief", "conditions": "hour and weather", "depth": "depth"}
 
@@ -52,7 +62,7 @@ _WORDS = {"terrain": "relief", "conditions": "hour and weather", "depth": "depth
 class Method:
     """One way to make an infrared picture of a View."""
 
-    letter: str  # "B", "C1", "C2", "D", "E", "F", "P", "foreign"; "" in an evaluation
+    kind: str  # A key of `OF_MAPS` or `OF_SCENES`; in an evaluation "map", "privileged", "baseline", "floor", "foreign"
     name: str  # Name of the map, or of the method where there is no map
     # Source of the temperatures of intensity 0 and 1: "own", "refitted" or "calibrated"; None without intensities
     bounds: str | None = None
@@ -63,12 +73,11 @@ class Method:
     kelvin: dict[str, float] = field(default_factory=dict)  # Temperatures of the objects in the rendered scene [K]
     # (view) → (H, W) apparent temperature [K], None where it has none, for methods neither translated nor rendered
     function: Callable[[View], Image | None] | None = None
-    kind: str = ""  # In an evaluation: "map", "privileged", "baseline", "floor" or "foreign"
 
     @property
     def label(self) -> str:
-        """Its name in tables: letter, map, bounds, and whether it knows the objects."""
-        parts = [f"{self.letter} {self.name}".strip()]
+        """Its name in tables: the map and its use, bounds, and whether it knows the objects."""
+        parts = [LABELS.get(self.kind, "{}").format(self.name)]
         if self.bounds in (REFITTED, CALIBRATED):
             parts.append(str(self.bounds))
         if self.true_objects:
@@ -140,10 +149,10 @@ class Given:
 
 
 def methods_of(
-    letters: Collection[str], maps: Sequence[tuple[str, TemperatureMap]], given: Given
+    kinds: Collection[str], maps: Sequence[tuple[str, TemperatureMap]], given: Given
 ) -> tuple[list[Method], list[str]]:
-    """Return (the Methods of a scene for letters and for (name or file, map), sentences on them and others)."""
-    check_letters(letters)
+    """Return (the Methods of a scene of these kinds and of (name or file, map), sentences on them and others)."""
+    check_kinds(kinds)
     made: list[Method | str] = []
     for text, model in maps:
         given.report(f"preparing {model.name}", 0.0)
@@ -155,41 +164,41 @@ def methods_of(
         if model.needs and given.scene.world is not None:
             raise given.scene.not_on_tiles(f"learned map {model.name!r}, which takes {' and '.join(model.needs)},")
         once = replace(model, predictor=Remembered(model.predictor))
-        for letter, of_map in OF_MAPS.items():
-            if letter in letters:
+        for kind, of_map in OF_MAPS.items():
+            if kind in kinds:
                 made += of_map(given, text, once)
-    for name, of_scene in OF_SCENES.items():
-        letter = name.split()[0]
-        if letter in letters or letter in _ALWAYS:
+    for kind, of_scene in OF_SCENES.items():
+        if kind in kinds or kind in _ALWAYS:
             made += of_scene(given)
     return ([each for each in made if isinstance(each, Method)],
             list(dict.fromkeys(each for each in made if isinstance(each, str))))  # fmt: skip
 
 
-def check_letters(letters: Collection[str]) -> None:
-    """Refuse letters of unknown methods."""
-    known = chosen_by_letter()
-    if not set(letters) <= set(known):
-        raise ThermorenderError(f"--methods={','.join(letters)!r} is not allowed; give some of {', '.join(known)}")
+def check_kinds(kinds: Collection[str]) -> None:
+    """Refuse unknown kinds of methods."""
+    known = chosen_kinds()
+    if not set(kinds) <= set(known):
+        raise ThermorenderError(f"--methods={','.join(kinds)!r} is not allowed; give some of {', '.join(known)}")
 
 
 def translated(model: TemperatureMap, campaign: Training | None = None, sky_k: float | None = None) -> list[Method]:
-    """Return the B methods of a map: with its own bounds, and with those of the campaign under its sky [K]."""
+    """Return a map on the photograph: with its own bounds, and with those of the campaign under its sky [K]."""
     plain = model.predictor.plain if isinstance(model.predictor, Remembered) else model.predictor
     model = replace(model, predictor=Remembered(plain, most=1))
-    return [Method("B", model.name, bounds, _knows(bounds), model=at)
+    return [Method(PHOTOGRAPH, model.name, bounds, _knows(bounds), model=at)
             for bounds, at, _ in _variants(model, campaign, sky_k)]  # fmt: skip
 
 
 def _photographs(given: Given, text: str, model: TemperatureMap) -> Iterator[Method | str]:
     if model.needs:
-        yield (f"B {model.name} is left out: the map also takes {' and '.join(model.needs)} as input, which a "
-               "photograph does not give.")  # fmt: skip
+        yield (f"{LABELS[PHOTOGRAPH].format(model.name)} is left out: the map also takes {' and '.join(model.needs)} "
+               "as input, which a photograph does not give.")  # fmt: skip
     else:
         yield from translated(model, given.campaign, _sky_of(given.scene, model, given.campaign))
         note = model.band_note(given.scene.camera.band_um)
         if note:
-            yield f"B: {note} than the camera's of {given.scene.name}, and they are taken as those of the camera's."
+            yield (f"{note[:1].upper()}{note[1:]} than the camera's of {given.scene.name}. On the photograph, they are "
+                   "taken as those of the camera's.")  # fmt: skip
 
 
 def _true_materials(given: Given, text: str, model: TemperatureMap) -> Iterator[Method | str]:
@@ -199,7 +208,7 @@ def _true_materials(given: Given, text: str, model: TemperatureMap) -> Iterator[
 def _learned_materials(given: Given, text: str, model: TemperatureMap) -> Iterator[Method | str]:
     if given.learned is None:
         why = "without an orthophoto" if given.scene.world is None else "on tiles"
-        yield f"C2 is left out of {given.scene.name}: {why}, materials cannot be learned."
+        yield f"Maps as kelvin, learned materials, are left out of {given.scene.name}: {why}, none can be learned."
     else:
         yield from rendered(given.scene, text, model, given.reference, given.campaign, False, given.learned)
 
@@ -244,18 +253,19 @@ def rendered(
     true_materials: bool = True,
     learned: Scene | None = None,
 ) -> list[Method]:
-    """Return the C methods of a map in a scene: C1 with all bounds and once with true objects, C2 with the best bounds.
+    """Return a map as kelvin in a scene: true materials with all bounds and once with true objects, learned materials
+    with the best bounds.
 
     `text` is the map's name or file, `model` the map, `reference` a Renderer of the same surfaces, whose sampling the
-    methods share. `true_materials` includes C1; `learned`, the scene with learned materials, includes C2. A method
-    renders nothing before its `renderer` is used.
+    methods share. `learned` is the scene with learned materials, None to leave them out. A method renders nothing
+    before its `renderer` is used.
     """
     if not isinstance(model.predictor, Remembered):
         model = replace(model, predictor=Remembered(model.predictor))
     needs = [_WORDS[name] for name in model.needs]
 
     def method(
-        variant: _Variant, letter: str, cold: Scene, knows: Sequence[str], kelvin: dict[str, float], objects: bool
+        variant: _Variant, kind: str, cold: Scene, knows: Sequence[str], kelvin: dict[str, float], objects: bool
     ) -> Method:
         bounds, at, limits = variant
         source = TemperatureSpec(source="learned", model=str(text), range_c=limits)
@@ -264,18 +274,18 @@ def rendered(
             solved = cold.with_temperature(source, at).with_objects(kelvin)
             return _rendered_like(reference, solved)
 
-        return Method(letter, model.name, bounds, _knows(bounds, *knows, *needs), objects, at, build, kelvin)
+        return Method(kind, model.name, bounds, _knows(bounds, *knows, *needs), objects, at, build, kelvin)
 
     found = []
     variants = _variants(model, campaign, _sky_of(scene, model, campaign))
     for variant in variants if true_materials else variants[-1:]:
         kelvin = object_temperatures(scene, variant[1], reference)
         if true_materials:
-            found.append(method(variant, "C1", scene, ("the materials",), kelvin, False))
+            found.append(method(variant, TRUE_MATERIALS, scene, ("the materials",), kelvin, False))
     if true_materials and scene.spec.objects:
-        found.append(method(variant, "C1", scene, ("the materials", "the objects"), {}, True))
+        found.append(method(variant, TRUE_MATERIALS, scene, ("the materials", "the objects"), {}, True))
     if learned is not None:
-        found.append(method(variant, "C2", learned, (), kelvin, False))
+        found.append(method(variant, LEARNED_MATERIALS, learned, (), kelvin, False))
     return found
 
 
@@ -288,7 +298,7 @@ def _balance(given: Given) -> Iterator[Method | str]:
     scene = given.scene
     if not given.has_truth:
         return
-    left_out = f"F, the heat balance of tables, is left out of {scene.name}: "
+    left_out = f"The heat balance of tables is left out of {scene.name}: "
     if scene.balanced or not given.weathered:
         why = "the reference is that heat balance" if scene.balanced else "the scene has no [weather]"
         yield f"{left_out}{why}."
@@ -300,7 +310,7 @@ def _balance(given: Given) -> Iterator[Method | str]:
         asked = scene.with_sun(None).with_temperature("balance").with_objects(kelvin)
         return _rendered_like(given.reference, asked)
 
-    method = Method("F", "heat balance of tables", None, "the materials, hour and weather, relief", build=build,
+    method = Method(BALANCE, "heat balance of tables", None, "the materials, hour and weather, relief", build=build,
                     kelvin=kelvin)  # fmt: skip
     try:
         # Solved here, so that a failure leaves out this method only.
@@ -318,7 +328,7 @@ def _privileged(given: Given) -> Iterator[Method | str]:
     time = scene.time
     if scene.world is not None or not given.weathered or time is None:
         why = "the scene has no [weather]" if scene.world is None else "its ground is in tiles"
-        yield f"P {model.name} is left out of {scene.name}: {why}."
+        yield f"The privileged map {model.name} is left out of {scene.name}: {why}."
         return
     kelvin = _table_temperatures(scene)
 
@@ -328,7 +338,7 @@ def _privileged(given: Given) -> Iterator[Method | str]:
         return _rendered_like(given.reference, solved)
 
     knows = _knows(None, "the materials", *(_WORDS[name] for name in model.needs))
-    yield Method("P", model.name, None, knows, model=model, build=build, kelvin=kelvin)
+    yield Method(PRIVILEGED, model.name, None, knows, model=model, build=build, kelvin=kelvin)
 
 
 def constant(mean_k: float) -> Callable[[View], Image]:
@@ -362,43 +372,42 @@ def per_material(mean_k: float, material_k: Mapping[str, float]) -> Callable[[Vi
 
 def _constant(given: Given) -> Iterator[Method | str]:
     if given.has_truth and given.campaign is not None:
-        yield Method("D", "constant", None, THERMAL, function=constant(given.campaign.mean_k))
+        yield Method(CONSTANT, A_CONSTANT, None, THERMAL, function=constant(given.campaign.mean_k))
 
 
 def _per_material(given: Given) -> Iterator[Method | str]:
     if given.has_truth and given.campaign is not None:
         function = per_material(given.campaign.mean_k, given.campaign.material_k)
-        yield Method("E", "mean per material", None, f"the materials, {THERMAL}", function=function)
+        yield Method(PER_MATERIAL, "a mean per material", None, f"the materials, {THERMAL}", function=function)
 
 
 def _own_mean(given: Given) -> Iterator[Method | str]:
     if given.has_truth:
-        yield Method("D", OWN_MEAN.removeprefix("D "), None, "the reference's mean", function=own_mean)
+        yield Method(FRAME_MEAN, OWN_MEAN, None, "the reference's mean", function=own_mean)
 
 
 def _foreign(given: Given) -> Iterator[Method | str]:
-    yield from (Method("foreign", each.name, function=each.temperature) for each in given.foreign)
+    yield from (Method(FOREIGN, each.name, function=each.temperature) for each in given.foreign)
 
 
-# Methods by letter: of each map, and of the scene. The letter is the first word.
+# Methods by kind: of each map, and of the scene.
 OF_MAPS: dict[str, Callable[[Given, str, TemperatureMap], Iterable[Method | str]]] = {
-    "B": _photographs, "C1": _true_materials, "C2": _learned_materials,
+    PHOTOGRAPH: _photographs, TRUE_MATERIALS: _true_materials, LEARNED_MATERIALS: _learned_materials,
 }  # fmt: skip
 OF_SCENES: dict[str, Callable[[Given], Iterable[Method | str]]] = {
-    "P": _privileged, "D constant": _constant, "E": _per_material, OWN_MEAN: _own_mean, "F": _balance,
-    "foreign": _foreign,
+    PRIVILEGED: _privileged, CONSTANT: _constant, PER_MATERIAL: _per_material, FRAME_MEAN: _own_mean,
+    BALANCE: _balance, FOREIGN: _foreign,
 }  # fmt: skip
 # Chosen by their own arguments.
-_ALWAYS = ("P", "foreign")
+_ALWAYS = (PRIVILEGED, FOREIGN)
 
 
-def chosen_by_letter() -> tuple[str, ...]:
-    """Return the letters of the methods that a comparison chooses from."""
-    letters = (name.split()[0] for name in (*OF_MAPS, *OF_SCENES))
-    return tuple(dict.fromkeys(letter for letter in letters if letter not in _ALWAYS))
+def chosen_kinds() -> tuple[str, ...]:
+    """Return the kinds of methods that a comparison chooses from."""
+    return tuple(kind for kind in (*OF_MAPS, *OF_SCENES) if kind not in _ALWAYS)
 
 
-LETTERS = chosen_by_letter()
+KINDS = chosen_kinds()
 
 
 def object_temperatures(scene: Scene, model: TemperatureMap, reference: Renderer) -> dict[str, float]:

@@ -1,22 +1,27 @@
-"""The fit of one pose: how offset, contrast, shift, blur and materials together explain a picture's difference.
+"""The fit of one pose: how offset, contrast, shift, blur, zoom and materials together explain a picture's difference.
 
-The picture is s = offset + mean + gain (t − mean), with t the reference, moved and blurred, and `mean` its mean over
-the ground. Gauss–Newton finds shift and blur; the rest is linear. Each material adds an offset and an emissivity
-column. Normal equations are kept by piece of ground, because errors of neighbouring pixels are correlated.
+The picture is s = offset + mean + gain (t − mean), with t the reference, zoomed, moved and blurred, and `mean` its mean
+over the ground. Gauss–Newton finds zoom, shift and blur; the rest is linear. Each material adds an offset and an
+emissivity column. Normal equations are kept by piece of ground, because errors of neighbouring pixels are correlated.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.apps.compare.registration import ALIKE, correlation, peak, transform
+
+# Whether shift, blur and zoom are free.
+Free = tuple[bool, bool, bool]
 _Value = TypeVar("_Value", bound=np.generic)
 
 # Columns of the normal equations before those of the materials: their number, and the place of each cause.
-BASE = {"offset": (0,), "contrast": (1,), "shift": (2, 3), "blur": (4,)}
-WIDTH = 5
+BASE = {"offset": (0,), "contrast": (1,), "shift": (2, 3), "blur": (4,), "zoom": (5,)}
+WIDTH = 6
 # Largest number of pixels in the normal equations; more are thinned out to a grid.
 _MOST_PIXELS = 40_000
 # Pixels this near to unknown ones or to objects are left out [px].
@@ -24,12 +29,14 @@ _BORDER_PX = 3
 # Gauss–Newton: most steps, largest step of shift [px] and variance [px²], convergence [px], range of the variance.
 _STEPS, _STEP_PX, _STEP_PX2, _DONE = 8, 0.7, 1.5, 0.01
 _VARIANCE = (-0.3, 25.0)
-# Below these, one linearisation holds with and without shift and blur [px, px²].
+# Below these, one linearisation holds with and without shift, zoom at the picture's edge, and blur [px, px²].
 _SMALL_PX, _SMALL_PX2 = 0.2, 0.3
 # Residuals beyond this many robust standard deviations count less. Ridge relative to the reference's variance.
 _ROBUST, _RIDGE = 3.0, 1e-6
 # Least share of pixels of a single material at which the others are left out.
 _PURE = 0.3
+# Places along each side at which a first guess of the zoom measures the shift, and least number that must correlate.
+_PLACES, _FEWEST_PLACES = 3, 4
 # Least number of pixels of a fit.
 _FEWEST = 200
 # Filter of shift and blur: half-width without blur [px], its growth with the standard deviation of the blur, side of
@@ -70,42 +77,52 @@ class PoseFit:
 
     cells: NDArray[np.intp]  # (K,) int numbers of the pieces of ground
     materials: tuple[str, ...]  # Materials with columns, in their order
-    # By whether shift and blur are free; a missing one equals that of (True, True)
-    equations: dict[tuple[bool, bool], Equations]
+    # By whether shift, blur and zoom are free; a missing one equals that of `most`
+    equations: dict[Free, Equations]
     middle_k: float  # Median error [K]
+    mean_k: float  # Mean of the reference [K]
 
-    def at(self, shift: bool, blur: bool) -> Equations:
-        """Return the Equations for models with or without shift and blur."""
-        return self.equations.get((shift, blur), self.equations[True, True])
+    @property
+    def most(self) -> Free:
+        """The freest model of the fit."""
+        return max(self.equations)
+
+    def at(self, free: Free) -> Equations:
+        """Return the Equations for models with or without shift, blur and zoom."""
+        return self.equations.get(free, self.equations[self.most])
 
 
-def fit(pair: Pair, start: tuple[float, float] = (0.0, 0.0), least_share: float = 0.005) -> PoseFit | None:
+def fit(
+    pair: Pair, start: tuple[float, float] = (0.0, 0.0), least_share: float = 0.005, zoom: float | None = None
+) -> PoseFit | None:
     """Return the PoseFit of a Pair, None with too few pixels.
 
     `start` is the first guess of the shift right and down [px]; materials below `least_share` of the ground have no
-    columns.
+    columns. `zoom` is the first guess of the zoom, how much larger the picture is than the reference; None fits none.
     """
-    picture = _Picture(pair, start)
+    picture = _Picture(pair, start, zoom or 0.0)
     if picture.count < _FEWEST:
         return None
     materials = picture.materials(least_share)
-    origin = np.array([*start, 0.0])
-    found = {(True, True): picture.solved(origin, (True, True))}
-    right, down, variance = found[True, True]
-    if np.hypot(right, down) > _SMALL_PX or abs(variance) > _SMALL_PX2:
-        found[True, False] = picture.solved(np.array([right, down, 0.0]), (True, False))
-        found[False, True] = picture.solved(np.array([0.0, 0.0, max(variance, 0.0)]), (False, True))
-        found[False, False] = np.zeros(3)
+    most = True, True, zoom is not None
+    found = {most: picture.solved(np.array([*start, 0.0, zoom or 0.0]), most)}
+    right, down, variance, zoomed = found[most]
+    if max(np.hypot(right, down), abs(zoomed) * picture.half_px) > _SMALL_PX or abs(variance) > _SMALL_PX2:
+        whole = np.array([right, down, max(variance, 0.0), zoomed])
+        for free in product((True, False), (True, False), (True, False) if most[2] else (False,)):
+            if free != most:
+                given = whole * np.array([free[0], free[0], free[1], free[2]])
+                found[free] = picture.solved(given, free) if any(free) else given
     cells, order, edges = picture.sorted_cells()
     equations = {free: picture.equations(at, materials, order, edges) for free, at in found.items()}
     names = tuple(pair.names[number] for number in materials)
-    return PoseFit(cells, names, equations, picture.middle_k)
+    return PoseFit(cells, names, equations, picture.middle_k, picture.mean_k)
 
 
 class _Picture:
     """The pixels of a Pair that take part in the fit."""
 
-    def __init__(self, pair: Pair, start: tuple[float, float]) -> None:
+    def __init__(self, pair: Pair, start: tuple[float, float], zoom: float) -> None:
         import cv2
 
         known = pair.known & np.isfinite(pair.truth)
@@ -115,6 +132,7 @@ class _Picture:
         # Pixels must be known before and after the shift, so that all models are fitted to the same ones.
         whole = tuple(round(value) for value in start)
         used = inside & ground & _rolled(inside, whole) & np.isfinite(pair.seen)
+        used &= _zoomed(inside.astype(np.float32), zoom) > 0.5
         # Pixels of several materials have errors that none of the materials has, but fine mosaics have no others.
         if (used & pair.pure).sum() >= _PURE * used.sum():
             used &= pair.pure
@@ -126,14 +144,18 @@ class _Picture:
         if not self.count:
             return
         truth = np.asarray(pair.truth, np.float32)
-        self._mean = float(truth[self._used].mean(dtype=np.float64))
+        self.mean_k = float(truth[self._used].mean(dtype=np.float64))
         self._variance_k2 = float(truth[self._used].var(dtype=np.float64))
-        self._truth = np.where(known, truth - np.float32(self._mean), np.float32(0.0))
-        self._seen = np.asarray(pair.seen, np.float64)[self._used] - self._mean
+        self._truth = np.where(known, truth - np.float32(self.mean_k), np.float32(0.0))
+        self._seen = np.asarray(pair.seen, np.float64)[self._used] - self.mean_k
         self.middle_k = float(np.median(self._seen - self._truth[self._used]))
         self._material = pair.material[self._used]
         self._emissivity = np.asarray(pair.emissivity_k, np.float64)[self._used]
         self._cell = pair.cell[self._used]
+        # Distance from the middle, at which a zoom moves a pixel [px].
+        row, column = np.nonzero(self._used)
+        self._across, self._along = column - 0.5 * (truth.shape[1] - 1), row - 0.5 * (truth.shape[0] - 1)
+        self.half_px = 0.5 * max(truth.shape)
 
     def materials(self, least_share: float) -> list[int]:
         """Return the numbers of materials with at least this share of the pixels; none if there is only one."""
@@ -148,11 +170,12 @@ class _Picture:
         return cells, order, np.append(first, self.count)
 
     def columns(self, at: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return (base columns (n, 5), residual of offset and gain (n,), Huber weights (n,)) of a moved picture."""
-        right, down, variance = at.tolist()
+        """Return (base columns (n, 6), residual of offset and gain (n,), Huber weights (n,)) of a moved picture."""
+        right, down, variance, zoom = at.tolist()
         whole = round(right), round(down)
-        shown = moved(_rolled(self._truth, whole), right - whole[0], down - whole[1], variance)
+        shown = moved(_rolled(_zoomed(self._truth, zoom), whole), right - whole[0], down - whole[1], variance)
         image, *slopes = (part[self._used].astype(np.float64) for part in shown)
+        slopes.append(self._across * slopes[0] + self._along * slopes[1])
         flat = np.stack([np.ones(self.count), image], axis=-1)
         weight = np.ones(self.count)
         for _ in range(2):
@@ -163,10 +186,11 @@ class _Picture:
             weight = np.minimum(1.0, scale / np.maximum(np.abs(residual), 1e-9))
         return np.column_stack([flat, *(best[1] * slope for slope in slopes)]), residual, weight
 
-    def solved(self, at: NDArray[np.float64], free: tuple[bool, bool]) -> NDArray[np.float64]:
-        """Return the best (right, down, variance) by Gauss–Newton; what is not free keeps its value."""
-        kept = [0, 1, *((2, 3) if free[0] else ()), *((4,) if free[1] else ())]
-        limits = np.array([_STEP_PX, _STEP_PX, _STEP_PX2])
+    def solved(self, at: NDArray[np.float64], free: Free) -> NDArray[np.float64]:
+        """Return the best (right, down, variance, zoom) by Gauss–Newton; what is not free keeps its value."""
+        kept = [0, 1, *((2, 3) if free[0] else ()), *((4,) if free[1] else ()), *((5,) if free[2] else ())]
+        limits = np.array([_STEP_PX, _STEP_PX, _STEP_PX2, _STEP_PX / self.half_px])
+        done = np.array([_DONE, _DONE, _DONE, _DONE / self.half_px])
         best, least = at, np.inf
         for _ in range(_STEPS):
             columns, residual, weight = self.columns(at)
@@ -182,7 +206,7 @@ class _Picture:
             step[kept] = np.linalg.solve(matrix, weighted.T @ residual)
             after = at + np.clip(step[2:], -limits, limits)
             after[2] = np.clip(after[2], *_VARIANCE)
-            if np.abs(after - at).max() < _DONE:
+            if (np.abs(after - at) < done).all():
                 break
             at = after
         return best
@@ -208,6 +232,46 @@ class _Picture:
             part, own = columns[first:last], wanted[first:last]
             matrix[k], right[k], square[k] = part.T @ part, part.T @ own, own @ own
         return Equations(matrix, right, square)
+
+
+def zoom_of(
+    seen: NDArray[np.floating], truth: NDArray[np.floating], known: NDArray[np.bool_]
+) -> tuple[float, tuple[float, float]]:
+    """Return a first guess of (zoom, shift right and down [px]) of a picture, from its shifts at several places.
+
+    The zoom is 0 where too few places correlate.
+    """
+    rows, columns = truth.shape
+    height, width = rows // 2, columns // 2
+    places = []
+    for top in np.linspace(0, rows - height, _PLACES).astype(int):
+        for left in np.linspace(0, columns - width, _PLACES).astype(int):
+            part = np.s_[top : top + height, left : left + width]
+            if known[part].mean() > 0.5:
+                one, other = (transform(image[part], known[part]) for image in (seen, truth))
+                found = peak(*correlation(one, other))
+                if found is not None and found[2] >= ALIKE:
+                    places.append((left + 0.5 * (width - columns), top + 0.5 * (height - rows), *found[:2]))
+    if len(places) < _FEWEST_PLACES:
+        return 0.0, (0.0, 0.0)
+    across, along, right, down = np.array(places).T
+    flat, none = np.ones(len(across)), np.zeros(len(across))
+    matrix = np.block([[across[:, None], flat[:, None], none[:, None]], [along[:, None], none[:, None], flat[:, None]]])
+    zoom, *shift = np.linalg.lstsq(matrix, np.concatenate([right, down]), rcond=None)[0].tolist()
+    return zoom, (shift[0], shift[1])
+
+
+def _zoomed(image: NDArray[np.float32], zoom: float) -> NDArray[np.float32]:
+    """Return a picture that is larger by `zoom` about its middle."""
+    import cv2
+
+    if not zoom:
+        return image
+    height, width = image.shape
+    across, along = ((np.arange(n) - 0.5 * (n - 1)) / (1.0 + zoom) + 0.5 * (n - 1) for n in (width, height))
+    columns, rows = np.meshgrid(across.astype(np.float32), along.astype(np.float32))
+    found: NDArray[np.float32] = cv2.remap(image, columns, rows, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REFLECT)  # type: ignore[assignment]
+    return found
 
 
 def _rolled(image: NDArray[_Value], whole: tuple[int, ...]) -> NDArray[_Value]:

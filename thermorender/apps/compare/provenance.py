@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from thermorender.apps.training import duplicates
 from thermorender.apps.training.dataset import Dataset
-from thermorender.apps.training.training_pictures import search_in
+from thermorender.apps.training.training_pictures import searches_in
 from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import TemperatureMap
 from thermorender.scene.scene import Scene
@@ -43,14 +43,15 @@ def provenance_of(model: TemperatureMap) -> Provenance:
 
 
 def search_fingerprints(
-    provenance: Provenance, model: TemperatureMap, scenes: Mapping[str, Sequence[NDArray[np.uint8]]]
+    found: Sequence[Provenance], models: Sequence[TemperatureMap], scenes: Mapping[str, Sequence[NDArray[np.uint8]]]
 ) -> None:
-    """Search photographs {scene: sequence of (H, W, 3)} for a map's training pictures, by its fingerprints."""
+    """Search photographs {scene: sequence of (H, W, 3)} for the training pictures of maps, by their fingerprints."""
     named = [(f"{scene} {number}", rgb) for scene, own in scenes.items() for number, rgb in enumerate(own, 1)]
-    found = search_in(model, [name for name, _ in named], lambda number: named[number][1])
-    provenance.audited = found.line
-    if found.found:
-        provenance.leaks.append(found.line)
+    searches = searches_in(models, [name for name, _ in named], lambda number: named[number][1])
+    for own, search in zip(found, searches, strict=True):
+        own.audited = search.line
+        if search.found:
+            own.leaks.append(search.line)
 
 
 class TrainingPictures:

@@ -63,7 +63,7 @@ function draw() {
   for (const each of shown) {
     const { values, known } = each.picture;
     const [least, greatest] = own ? range(values, known, 0.01) : [cold, warm];
-    const limits = `, ${(least - 273.15).toFixed(1)}…${(greatest - 273.15).toFixed(1)} °C`;
+    const limits = `, ${least.toFixed(1)}…${greatest.toFixed(1)} K`;
     each.caption.textContent = each.label + (own ? limits : "");
     if (error && !each.reference) paint(each, (k) => values[k] - truth.picture.values[k], -most, most, maps.error);
     else paint(each, (k) => values[k], least, greatest, maps.temperature);
@@ -71,7 +71,7 @@ function draw() {
   const table = error ? maps.error : maps.temperature;
   const stops = [0, 64, 128, 192, 255].map((k) => `rgb(${table[k]})`).join(",");
   document.getElementById("scale").style.background = `linear-gradient(to right, ${stops})`;
-  const limitWords = [cold, warm].map((kelvin) => (own ? "" : `${(kelvin - 273.15).toFixed(1)} °C`));
+  const limitWords = [cold, warm].map((kelvin) => (own ? "" : `${kelvin.toFixed(1)} K`));
   document.getElementById("low").textContent = error ? `−${most.toFixed(1)} K` : limitWords[0];
   document.getElementById("high").textContent = error ? `+${most.toFixed(1)} K` : limitWords[1];
 }

@@ -2,15 +2,16 @@
 
 import json
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from functools import cache
 from pathlib import Path
 from string import Template
 from typing import Any
 
 from thermorender import formats
-from thermorender.apps.compare import figures, findings
-from thermorender.apps.compare.methods import CALIBRATED, OWN_MEAN, REFITTED, THERMAL
+from thermorender.apps.compare import figures, findings, methods
+from thermorender.apps.compare.ground_intervals import FEWEST
+from thermorender.apps.compare.methods import CALIBRATED, REFITTED, THERMAL
 from thermorender.apps.compare.registration import ALIKE
 from thermorender.apps.compare.scores import RADIOMETRIC
 from thermorender.apps.compare.tables import Table, interval, number
@@ -21,32 +22,38 @@ Summary = dict[str, Any]
 
 # Longer lists and tables are folded, except grave findings and errors.
 _OPEN = 5
+# Marks an interval that does not converge.
+_MARK = "*"
 _GROUPINGS = ("scene", "surface", "material", "range", "view angle", "edges")
 _OTHERS = "thermal frames of other lands in the same hour and weather"
 _KINDS = {
-    "B": "a map applied to the photograph",
-    "C1": "the map applied to the orthophoto and rendered with {materials}",
-    "C2": "the map applied to the orthophoto and rendered with learned materials",
-    "D constant": f"one temperature, the mean of {_OTHERS}",
-    OWN_MEAN: "one temperature per frame, the mean of the reference on ground",
-    "E": f"one temperature per material, from {_OTHERS}",
-    "F": "the heat balance with properties from tables, under the scene's weather",
-    "P": "a privileged map, one that takes the material as input",
-    "foreign": "frames of another program",
+    methods.PHOTOGRAPH: "the map is applied to the photograph of the pose",
+    methods.TRUE_MATERIALS: "the map is applied to the orthophoto and rendered with {materials}",
+    methods.LEARNED_MATERIALS: "the map is applied to the orthophoto and rendered with learned materials",
+    methods.CONSTANT: f"one temperature, the mean of {_OTHERS}",
+    methods.FRAME_MEAN: "one temperature per frame, the mean of the reference on ground",
+    methods.PER_MATERIAL: f"one temperature per material, from {_OTHERS}",
+    methods.BALANCE: "the heat balance with properties from tables, under the scene's weather",
+    methods.PRIVILEGED: "a privileged map, one that takes the material as input",
+    methods.FOREIGN: "frames of another program",
+}  # fmt: skip
+_BOUNDS = {
     REFITTED: f"the map's bounds are 1.5 interquartile ranges beyond the quartiles of {_OTHERS}. This suits a map that "
               "was trained in one campaign, and reduces the contrast of one trained in many",
     CALIBRATED: f"a least-squares line from the map's intensities of other lands' photographs to {_OTHERS}",
 }  # fmt: skip
 
 
-def write_page(path: Path, summary: Summary, views: Sequence[dict[str, Any]]) -> None:
-    """Write the page of a comparison's summary, with views as in `Pictures.views`."""
+def write_page(path: Path, summary: Summary, pictures: figures.Pictures) -> None:
+    """Write the page of a comparison's summary with its pictures, and its figures as PDF and SVG beside it."""
     here = Path(__file__)
     style, script = (here.with_suffix(kind).read_text(encoding="utf-8") for kind in (".css", ".js"))
+    beside, views = path.parent, pictures.views
     parts = [
-        introduction(summary), _findings(summary), _errors(summary), _pictures(views), _figures(summary),
-        _differences(summary), _terms(summary), _targets(summary), _structure(summary), _groups(summary),
-        _training(summary), _scenes(summary),
+        introduction(summary), _opening(summary, pictures.opening, beside), _errors(summary), _findings(summary),
+        _about(summary), _details(summary), _pictures(views), _figures(summary, beside),
+        _differences(summary, beside), _terms(summary, beside), _targets(summary), _structure(summary),
+        _groups(summary), _training(summary), _scenes(summary),
         _section("legend" if any(scene["reference"] for scene in summary["scenes"]) else "legend without reference"),
         _section("data", views=_json(views), colours=_json(figures.colour_tables())),
     ]  # fmt: skip
@@ -54,7 +61,7 @@ def write_page(path: Path, summary: Summary, views: Sequence[dict[str, Any]]) ->
 
 
 def introduction(summary: Summary) -> str:
-    """Return the HTML of the introduction; it explains only methods and bounds of this run."""
+    """Return the HTML of the introduction: what was compared with what."""
     scenes = summary["scenes"]
     counts = (_counted(len(scenes), "scene"), _counted(sum(each["poses"] for each in scenes), "pose"),
               _counted(len(summary["methods"]), "method"))  # fmt: skip
@@ -63,31 +70,68 @@ def introduction(summary: Summary) -> str:
         computed = "computed" if any(scene["computed"] for scene in scenes) else "true"
         opening += (f" Errors are apparent temperature minus that of the reference, a render from the {computed} "
                     f"temperatures and {_materials(summary)}.")  # fmt: skip
-    return _section("introduction", opening=text(opening), notes=_items(summary["notes"]),
+    return _section("introduction", opening=text(opening))
+
+
+def _opening(summary: Summary, opening: figures.Opening | None, beside: Path) -> str:
+    """Return the row of pictures that opens the page: photograph, reference, and each translation with its error."""
+    labels = opening.shown(summary) if opening else []
+    if opening is None or not labels:
+        return ""
+    figures.publish(opening.printed(summary), beside, "pictures")
+    found = []
+    for title, image, error in opening.painted(labels):
+        drawn = "".join(f"<img src='{figures.jpeg(each)}' alt=''>" for each in (image, error) if each is not None)
+        own = summary["methods"].get(title, {})
+        ground = own["errors"][RADIOMETRIC]["ground"] if own.get("errors") else {"mae_k": None}
+        words = "" if ground["mae_k"] is None else f"<br>mean absolute error {ground['mae_k']:.2f} K"
+        found.append(f"<figure>{drawn}<figcaption>{text(title)}{words}</figcaption></figure>")
+    ends, limit = opening.scales(labels)
+    tables = figures.colour_tables()
+    bars = [_bar(tables["temperature"], f"{ends[0]:.1f}", f"{ends[1]:.1f} K", "apparent temperature")]
+    if opening.truth is not None:
+        bars.append(_bar(tables["error"], f"−{limit:.1f}", f"+{limit:.1f} K", "error, below each method"))
+    return _section("opening", pictures="".join(found), bars="".join(bars), title=text(opening.title))
+
+
+def _bar(table: Sequence[Sequence[int]], low: str, high: str, words: str) -> str:
+    """Return a colour bar with the values of its ends."""
+    stops = ",".join(f"rgb({','.join(map(str, table[k]))})" for k in (0, 64, 128, 192, 255))
+    return f"<span>{words} {low} <i style='background:linear-gradient(to right,{stops})'></i> {high}</span>"
+
+
+def _about(summary: Summary) -> str:
+    """Return what the methods of this run are, and what a reader should know of them."""
+    return _section("about", notes=_items(summary["notes"]),
                     methods=_items(f"{name}: {words}." for name, words in explained(summary)))  # fmt: skip
 
 
 def explained(summary: Summary) -> list[tuple[str, str]]:
-    """Return [(letter, label or bounds, its meaning)] of the methods of a comparison."""
-    methods = summary["methods"]
-    present = {own["letter"] for own in methods.values()} | set(methods)
-    present |= {own["bounds"] for own in methods.values()}
-    found = [(name, words.format(materials=_materials(summary))) for name, words in _KINDS.items() if name in present]
-    if any(own["true_objects"] for own in methods.values()):
-        found.append(("true objects", "the objects have their true temperatures instead of the map's"))
-    return found
+    """Return [(use of a map, label or bounds; its meaning)] of the methods of a comparison."""
+    found: dict[str, str] = {}
+    for kind, words in _KINDS.items():
+        for label, own in summary["methods"].items():
+            if own["kind"] == kind:
+                use = methods.LABELS.get(kind)
+                found[use.format("map") if use else label] = words.format(materials=_materials(summary))
+    present = {own["bounds"] for own in summary["methods"].values()}
+    found |= {name: words for name, words in _BOUNDS.items() if name in present}
+    if any(own["true_objects"] for own in summary["methods"].values()):
+        found["true objects"] = "the objects have their true temperatures instead of the map's"
+    return list(found.items())
 
 
 def terminal(summary: Summary) -> list[Table]:
     """Return the tables for the terminal: errors of methods, and differences where the truth is unknown."""
-    errors = Table(
-        ("method", "mean error [K]", "mean absolute [K]", "95 %", "standard deviation [K]", "RMSE [K]", "pixels"),
-        [(label, number(ground["me_k"], "+.3f", "none"), number(ground["mae_k"], none="none"),
-          interval((ground.get("interval_95") or {}).get("mae_k")), number(ground["sd_k"], none="none"),
-          number(ground["rmse_k"], none="none"), str(ground["pixels"]))
-         for label, ground in ((label, own["errors"][RADIOMETRIC]["ground"])
-                               for label, own in summary["methods"].items() if own["errors"])],
-    )  # fmt: skip
+    rows = []
+    for label, own in _scored(summary).items():
+        ground = own["errors"][RADIOMETRIC]["ground"]
+        ends = interval((ground.get("interval_95") or {}).get("mae_k")) + _MARK * bool(_few(own))
+        rows.append((label, number(ground["me_k"], "+.3f", "none"), number(ground["mae_k"], none="none"), ends,
+                     number(ground["sd_k"], none="none"), number(ground["rmse_k"], none="none"),
+                     str(ground["pixels"])))  # fmt: skip
+    head = ("method", "mean error [K]", "mean absolute [K]", "95 %", "standard deviation [K]", "RMSE [K]", "pixels")
+    errors = Table(head, rows)
     # Differences from the first method of each scene; a single scene is not named.
     scenes = [scene for scene in summary["scenes"] if scene["differences"]]
     apart = Table(
@@ -99,13 +143,37 @@ def terminal(summary: Summary) -> list[Table]:
     return [each for each in (errors, apart) if each.rows]
 
 
+def unconverged(summary: Summary) -> list[str]:
+    """Return sentences on intervals that do not converge, which a star marks."""
+    found: dict[str, list[str]] = {}
+    for label, own in _scored(summary).items():
+        why = _few(own)
+        if why:
+            found.setdefault(why, []).append(label)
+    return [f"{_MARK} {'; '.join(labels)}: the intervals do not converge; {why}." for why, labels in found.items()]
+
+
+def _few(own: Summary) -> str:
+    """Return why a method's intervals on ground do not converge, or nothing."""
+    blocks = own["errors"][RADIOMETRIC]["ground"].get("blocks")
+    if blocks is None or blocks["converged"]:
+        return ""
+    if blocks["count"] < FEWEST:
+        return (f"errors are correlated over {blocks['length_m']:.1f} m, so that the ground seen has the worth of "
+                f"{blocks['count']:.1f} independent blocks; at least {FEWEST} are needed")  # fmt: skip
+    return f"errors differ from pose to pose, and {blocks['poses']} poses were seen; at least {FEWEST} are needed"
+
+
 def _findings(summary: Summary) -> str:
     lists = []
     for title, grave, lines in findings.grouped(summary["findings"]):
         rows = "".join(f"<li class={'grave' if grave else 'plain'}>{text(line)}</li>" for line in lines)
         lists.append(_folded(title, len(lines), f"<ul>{rows}</ul>", grave))
-    rest = findings.nothing(summary)
-    return _section("findings", lists="".join(lists), rest=f"<p>{text(rest)}</p>" if rest else "")
+    lines = findings.headline(summary)
+    rest = "".join(f"<p class=first>{text(line)}</p>" for line in lines[:1])
+    if len(lines) > 1:
+        rest += _folded("Unexplained errors of the other methods", len(lines) - 1, f"<ul>{_items(lines[1:])}</ul>")
+    return _section("findings", lists="".join(lists), headline=rest)
 
 
 def _scored(summary: Summary) -> dict[str, Summary]:
@@ -114,39 +182,63 @@ def _scored(summary: Summary) -> dict[str, Summary]:
 
 
 def _errors(summary: Summary) -> str:
+    """Return the table of errors."""
     scored = _scored(summary)
     if not scored:
         return ""
     rows = []
     for label, own in scored.items():
-        radiometric, sensor = own["errors"]["radiometric"], own["errors"]["sensor"]
-        ground = radiometric["ground"]
+        ground = own["errors"][RADIOMETRIC]["ground"]
         ends = ground.get("interval_95") or {"me_k": None, "mae_k": None}
-        seconds, limits = own["seconds_per_frame"], own["range_c"]
+        seconds = own["seconds_per_frame"]
         rows.append({
             "method": label,
             "mean error [K]": number(ground["me_k"], "+.3f"),
-            "95 %": interval(ends["me_k"], "+.2f"),
+            "95 %": interval(ends["me_k"], "+.2f") + _MARK * bool(_few(own)),
             "mean absolute [K]": number(ground["mae_k"]),
-            "95 % ": interval(ends["mae_k"]),
+            "95 % ": interval(ends["mae_k"]) + _MARK * bool(_few(own)),
             "standard deviation [K]": number(ground["sd_k"]),
-            "objects [K]": number(radiometric.get("objects", {}).get("mae_k")),
-            "with objects [K]": number(radiometric.get("with objects", {}).get("mae_k")),
-            "after sensor [K]": number(sensor.get("ground", {}).get("mae_k")),
+            "without cause [K]": number(findings.unexplained(own)),
+            "objects [K]": number(own["errors"][RADIOMETRIC].get("objects", {}).get("mae_k")),
             "ms per frame": number(None if seconds is None else 1e3 * seconds, ".1f"),
+        })  # fmt: skip
+    marked = {k for k, own in enumerate(scored.values()) if own["leaks"] or own["circular"]}
+    return _section("errors", table=_wide(rows, marked).html(), loose=_items(unconverged(summary)))
+
+
+def _details(summary: Summary) -> str:
+    """Return what else is known of each error."""
+    scored = _scored(summary)
+    if not scored:
+        return ""
+    rows = []
+    for label, own in scored.items():
+        radiometric, ground = own["errors"][RADIOMETRIC], own["errors"][RADIOMETRIC]["ground"]
+        rows.append({
+            "method": label,
+            "with objects [K]": number(radiometric.get("with objects", {}).get("mae_k")),
+            "after sensor [K]": number(own["errors"]["sensor"].get("ground", {}).get("mae_k")),
             "s per scene": number(own["once_s"] or None, ".1f"),
             "scenes": str(own["scenes"]),
             "pixels": number(ground["pixels"], "d"),
             "effective pixels": number(ground.get("effective_pixels"), ".0f"),
-            "own bounds [°C]": interval(limits, ".1f"),
+            "correlated over [m]": number((ground.get("blocks") or {}).get("length_m"), ".1f"),
+            "blocks": number((ground.get("blocks") or {}).get("count"), ".1f"),
+            "own bounds [°C]": interval(own["range_c"], ".1f"),
             "knows": own["knows"],
         })  # fmt: skip
-    head = tuple(rows[0])
-    marked = {k for k, own in enumerate(scored.values()) if own["leaks"] or own["circular"]}
-    table = Table(head, [tuple(row.values()) for row in rows], marked, (head.index("method"), head.index("knows")))
     informed = any(THERMAL in own["knows"] for own in scored.values())
     others = f"Methods that know {THERMAL} exist only for scenes with others in their hour and weather. "
-    return _section("errors", table=table.html(), others=others if informed else "")
+    table = _wide(rows, ())
+    return _section("details", table=_folded("Errors in detail", len(rows), table.html()),
+                    others=others if informed else "")  # fmt: skip
+
+
+def _wide(rows: Sequence[dict[str, str]], marked: Collection[int]) -> Table:
+    """Return the table of rows {head: cell}; names may break lines."""
+    head = tuple(rows[0])
+    words = [head.index(name) for name in ("method", "knows") if name in head]
+    return Table(head, [tuple(row.values()) for row in rows], marked, words)
 
 
 def _pictures(views: Sequence[dict[str, Any]]) -> str:
@@ -158,37 +250,40 @@ def _pictures(views: Sequence[dict[str, Any]]) -> str:
     return _section("frames", poses=poses, errors="<option value=error>errors</option>" if scored else "")
 
 
-def _figures(summary: Summary) -> str:
+def _figures(summary: Summary, beside: Path) -> str:
     drawn = (
-        (figures.error_and_time(summary),
-         "Error against run time of a frame on the machine named below, without training and without the time that a "
-         "rendered scene needs once."),
-        (figures.spectra(summary), "Power spectra of the frames' central squares: a method below the reference blurs, "
-                                   "one above it invents structure."),
-        (figures.roc(summary), "Share of targets found after the sensor by a simple detector of spots that are warmer "
-                               "or colder than their surroundings. Its unit is each frame's own standard deviation: in "
-                               "a frame with little other contrast, a weak target is found easily."),
+        ("error-and-time", figures.error_and_time(summary),
+         "Error against run time of a frame, without training and without the time that a rendered scene needs once: "
+         "as given, else on the machine named below. Frames of other programs without a given time are left out."),
+        ("spectra", figures.spectra(summary),
+         "Power spectra of the frames' central squares: a method below the reference blurs, one above it invents "
+         "structure."),
+        ("targets", figures.roc(summary),
+         "Share of targets found after the sensor by a simple detector of spots that are warmer or colder than their "
+         "surroundings. Its unit is each frame's own standard deviation: in a frame with little other contrast, a weak "
+         "target is found easily."),
     )  # fmt: skip
-    return "".join(_drawn(content, words) for content, words in drawn)
+    return "".join(_drawn(beside, *each) for each in drawn)
 
 
-def _differences(summary: Summary) -> str:
+def _differences(summary: Summary, beside: Path) -> str:
     rows = [(scene["name"], each["one"], each["other"], number(each["me_k"], "+.3f"), number(each["mae_k"]),
              number(each["sd_k"])) for scene in summary["scenes"] for each in scene["differences"]]  # fmt: skip
     head = ("scene", "method", "against", "mean difference [K]", "mean absolute [K]", "standard deviation [K]")
+    words = "Mean absolute difference of each pair of methods."
     return _listed("differences", "All pairs", Table(head, rows), lambda: {
-        "figure": _drawn(figures.differences(summary), "Mean absolute difference of each pair of methods."),
+        "figure": _drawn(beside, "differences", figures.differences(summary), words),
     })  # fmt: skip
 
 
-def _terms(summary: Summary) -> str:
+def _terms(summary: Summary, beside: Path) -> str:
     terms = (*NAMES, "whole")
     rows = [(scene["name"], name, pair["from"], pair["to"], *(_both(pair["terms"][term]) for term in terms))
             for scene in summary["scenes"] for name, pair in scene["terms"].items()]  # fmt: skip
     head = ("scene", "map", "from", "to", *(f"{term} [K]" for term in terms))
-    return _listed("terms", "By scene and map", Table(head, rows), lambda: {
+    return _listed("terms", "By scene and map", Table(head, rows, words=(2, 3)), lambda: {
         "apart": f"{max(scene['terms_apart_mk'] for scene in summary['scenes']):.2g}",
-        "figure": _drawn(figures.terms(summary, NAMES), "Mean absolute size of each term."),
+        "figure": _drawn(beside, "terms", figures.terms(summary, NAMES), "Mean absolute size of each term."),
     })  # fmt: skip
 
 
@@ -215,7 +310,7 @@ def _structure(summary: Summary) -> str:
 
 
 def _structure_row(label: str, own: Summary) -> tuple[str, ...]:
-    shift = own["structure"]["shift"] if own["letter"] == "foreign" else own["registered"]
+    shift = own["structure"]["shift"] if own["kind"] == methods.FOREIGN else own["registered"]
     # Pictures that do not correlate have no shift.
     shift = None if shift is None or abs(shift["correlation"]) < ALIKE else shift
     gain = own["gain"] or {"gain": None, "correlation": None}
@@ -273,7 +368,11 @@ def _scenes(summary: Summary) -> str:
                                    for name in ("settings", "machine", "versions"))  # fmt: skip
     words = (f"Seed {summary['seed']}; settings: {settings or 'defaults'}. Machine: {machine}. Versions: {versions}. "
              f"{summary['seconds']:.0f} s in all.")  # fmt: skip
-    return _section("scenes", table=Table(head, rows, words=(1,)).html(), words=text(words))
+    plans = [(scene["name"], *row) for scene in summary["scenes"] for row in scene["planned"]]
+    plan = Table(("scene", "item", "in", "why"), plans, words=(3,))
+    return _section("scenes", table=Table(head, rows, words=(1,)).html(), words=text(words),
+                    plan=_folded("What the render of the reference includes and leaves out", len(plans), plan.html()),
+                    )  # fmt: skip
 
 
 @cache
@@ -303,8 +402,11 @@ def _folded(title: str, count: int, inner: str, opened: bool = False) -> str:
     return _section("folded", state=state, title=text(title), count=str(count), inner=inner)
 
 
-def _drawn(content: bytes | None, words: str) -> str:
-    return figure(content, words) if content else ""
+def _drawn(beside: Path, name: str, drawing: Any, words: str) -> str:
+    """Return a figure with its caption, written as PDF and SVG too; nothing where there is none."""
+    if drawing is None:
+        return ""
+    return figure(figures.publish(drawing, beside, name), f"{words} Also in figures/{name}.pdf and .svg.")
 
 
 def _both(found: Summary) -> str:

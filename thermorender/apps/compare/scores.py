@@ -1,9 +1,9 @@
 """Errors of a method, summed over views: by view, scene, ground block and class, with structure and similarity.
 
 An error is the apparent temperature of a method minus that of the reference. Errors are correlated within a pose, a
-piece of ground and an hour. The bootstrap therefore draws whole poses, whole blocks of ground (Künsch 1989,
-doi:10.1214/aos/1176347265), or whole scenes; the widest interval counts. It holds for other poses over the one scene,
-or, for several scenes, for other lands, hours and weathers like these.
+piece of ground and an hour. The bootstrap therefore draws poses and blocks of ground together, or whole scenes; the
+wider interval counts. It holds for other poses over the one scene, or, for several scenes, for other lands, hours and
+weathers like these.
 """
 
 from collections.abc import Sequence
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from thermorender.apps.compare import sums
 from thermorender.apps.compare.classes import GROUND, PixelClasses
+from thermorender.apps.compare.ground_intervals import Cells, interval
 from thermorender.apps.compare.sums import Sums
 from thermorender.apps.compare.view import View
 
@@ -58,7 +59,7 @@ class Tally:
     # Sums of each view by (stage, part): "ground", "with objects" and "objects"
     views: dict[tuple[str, str], list[Sums]] = field(default_factory=dict)
     groups: dict[tuple[str, str, str], Sums] = field(default_factory=dict)  # By (stage, grouping, class)
-    blocks: dict[tuple[str, int], Sums] = field(default_factory=dict)  # Ground before the sensor, by (land, block)
+    cells: list[Cells] = field(default_factory=list)  # Ground before the sensor, of each view
     structure: list[NDArray[np.float64]] = field(default_factory=list)  # `structure.row` of each view
     similarity: NDArray[np.float64] = field(default_factory=lambda: np.zeros(4))  # Σ of `structure.Similarity.row`
 
@@ -85,9 +86,8 @@ class Tally:
         if scene:
             self.into((stage, "scene", scene), parts[GROUND])
         if stage == RADIOMETRIC:
-            for number, row in enumerate(classes.block_sums(error)):
-                if row[0]:
-                    sums.into(self.blocks, (land, number), row)
+            cells = classes.cells(error, land)
+            self.cells += [] if cells is None else [cells]
         used = np.argwhere(materials.any(axis=-1)).tolist()
         return [(classes.surfaces[s], _material(view, m), materials[s, m]) for s, m in used]
 
@@ -99,9 +99,9 @@ class Tally:
         """Add the views of another Tally after those of this one."""
         for key, rows in other.views.items():
             self.views.setdefault(key, []).extend(rows)
-        for mine, theirs in ((self.groups, other.groups), (self.blocks, other.blocks)):
-            for name, row in theirs.items():
-                sums.into(mine, name, row)
+        for name, row in other.groups.items():
+            sums.into(self.groups, name, row)
+        self.cells += other.cells
         self.structure += other.structure
         self.similarity += other.similarity
 
@@ -116,12 +116,13 @@ class Tally:
             own = np.array(rows)
             found = sums.summary(own.sum(axis=0))
             if found["pixels"]:
-                drawn: dict[str, Sequence[Sums] | Sums] = {"poses": own}
+                blocks = interval(self.cells, seed) if (stage, part) == (RADIOMETRIC, GROUND) else None
+                known = {"poses and ground blocks": blocks} if blocks and blocks["me_k"] else {}
+                drawn: dict[str, Sequence[Sums] | Sums] = {} if known else {"poses": own}
                 if part == GROUND:
                     drawn["scenes"] = list(self.of(stage, "scene").values())
-                    if stage == RADIOMETRIC:
-                        drawn["ground blocks"] = list(self.blocks.values())
-                found |= sums.widest(drawn, found["sd_k"], seed)
+                found |= sums.widest(drawn, found["sd_k"], seed, known)
+                found |= {"blocks": blocks["blocks"]} if blocks else {}
             found_of[stage][part] = found
         return found_of
 

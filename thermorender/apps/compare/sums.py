@@ -88,13 +88,19 @@ def intervals(rows: ArrayLike, cluster: ArrayLike, seed: int = 0) -> dict[str, I
     return found
 
 
-def widest(drawn: Mapping[str, Sequence[Sums] | Sums], sd_k: float, seed: int) -> dict[str, Any]:
+def widest(
+    drawn: Mapping[str, Sequence[Sums] | Sums],
+    sd_k: float,
+    seed: int,
+    others: Mapping[str, dict[str, Any]] | None = None,
+) -> dict[str, Any]:
     """Return {interval_95: {me_k, mae_k}, drawn, effective_pixels}, the widest intervals of all units drawn.
 
-    `drawn` holds the rows of each unit by name, `sd_k` is the standard deviation of pixels [K]. The effective number is
+    `drawn` holds the rows of each unit by name, `others` intervals of other units, `sd_k` is the standard deviation of
+    pixels [K]. The effective number is
     that of independent pixels with the same standard error of the mean error: (σ / standard error)².
     """
-    found: list[tuple[str, dict[str, Any]]] = []
+    found: list[tuple[str, dict[str, Any]]] = list((others or {}).items())
     for what, units in drawn.items():
         rows = np.asarray(units, float)
         if len(rows) and (rows[:, 0] > 0).sum() > 1:

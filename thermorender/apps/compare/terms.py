@@ -2,14 +2,14 @@
 
 A sequence of pictures leads from one to the other. Each changes one thing:
 
-1. the map's apparent temperature of the photograph (B);
+1. the map's apparent temperature of the photograph;
 2. the map's apparent temperature of the orthophoto, projected into the view. The difference is **geometry**: the scale
    and angle at which the map saw the ground, and objects translated without their surroundings;
 3. the emission and reflection of these surfaces under the sky that the map was trained under: **emission**. It is zero
    where apparent temperatures could be converted to kinetic ones, and elsewhere the effect of the substitute;
 4. the same under the light of the scene, its sky and other surfaces: **reflection**;
-5. the same through the air to the camera: **air**; this is C;
-6. after the sensor: the change of C by its blur, noise and scale minus the change of B: **sensor**.
+5. the same through the air to the camera: **air**; this is the map as kelvin, with true materials;
+6. after the sensor: the change of this picture by its blur, noise and scale minus that of the first: **sensor**.
 
 The order is a choice: where two causes interact, their common part counts for the earlier one. All pictures are of the
 camera's band. Under a map of another band, steps 1 to 3 keep its apparent temperatures, and the change of band counts
@@ -30,7 +30,7 @@ NAMES = ("geometry", "emission", "reflection", "air", "sensor")
 
 
 class Terms:
-    """The terms of one map in one scene, from the C1 of a map without extra inputs; other maps have no B."""
+    """The terms of one map in one scene, from its Method as kelvin; maps with extra inputs have no photograph."""
 
     def __init__(self, method: Method) -> None:
         assert method.model is not None
@@ -60,7 +60,7 @@ class Terms:
         )
 
     def pictures(self, pose: ArrayLike, time_s: float) -> NDArray[np.float32]:
-        """Return steps 2, 3 and, with air, 4 between B and C of a pose, (2 or 3, H, W) float32 [K] apparent."""
+        """Return steps 2, 3 and, with air, 4 of a pose, (2 or 3, H, W) float32 [K] apparent."""
         renderer = self._renderer
         at = (pose, time_s, self._method.objects)
         steps = [renderer.pictured(values, *at) for values in (self._seen, self._given)]
@@ -76,10 +76,10 @@ def terms_of(
     flat_read: NDArray[np.floating],
     solid_read: NDArray[np.floating],
 ) -> dict[str, NDArray[np.floating]]:
-    """Return {name of `NAMES`: (H, W) float32 [K]}, which add up to the difference of C and B after the sensor.
+    """Return {name of `NAMES`: (H, W) float32 [K]}, which add up to the difference after the sensor.
 
-    `flat` and `solid` are apparent temperatures (H, W) of B and C [K], `flat_read` and `solid_read` those after the
-    sensor.
+    `flat` and `solid` are apparent temperatures (H, W) on the photograph and as kelvin [K], `flat_read` and
+    `solid_read` those after the sensor.
     """
     steps = [flat, *pictures, *([solid] if len(pictures) == 2 else []), solid]
     found = {name: after - before for name, before, after in zip(NAMES, steps, steps[1:], strict=False)}

@@ -4,17 +4,29 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.apps.compare import emissivities, provenance, scores, sums
+from thermorender.apps.compare import emissivities, findings, provenance, scores, sums
 from thermorender.apps.compare.causes import Causes, Fitting
-from thermorender.apps.compare.classes import PixelClasses
+from thermorender.apps.compare.classes import GROUND, PixelClasses
 from thermorender.apps.compare.figures import Pictures
+from thermorender.apps.compare.frame_order import FrameOrder
 from thermorender.apps.compare.frames import Frames
-from thermorender.apps.compare.methods import OWN, Method
+from thermorender.apps.compare.ground_intervals import side_of
+from thermorender.apps.compare.methods import (
+    BALANCE,
+    FLAT,
+    FOREIGN,
+    OWN,
+    PHOTOGRAPH,
+    PRIVILEGED,
+    TRUE_MATERIALS,
+    Method,
+)
 from thermorender.apps.compare.registration import ALIKE, Appearance, Likeness, Registration, Track, transform
 from thermorender.apps.compare.targets import Targets
 from thermorender.apps.compare.terms import NAMES, terms_of
@@ -57,6 +69,7 @@ class Results:
     causes: Causes = field(default_factory=Causes)  # Fits of some poses
     # Of the poses of another program that look unlike the reference
     likeness: Likeness = field(default_factory=Likeness)
+    order: list[dict[str, Any]] = field(default_factory=list)  # Scenes in which its frames show other poses
     gain: scores.Gain = field(default_factory=scores.Gain)
     # For a rendered method, as `emissivities.of_scenes` returns them
     scene_emissivities: dict[str, NDArray[np.float64]] = field(default_factory=dict)
@@ -71,7 +84,8 @@ class Results:
 
     def summary(self, origin: provenance.Provenance | None, seed: int) -> dict[str, Any]:
         """Return the results as plain numbers, with a map's Provenance and intervals of a seed."""
-        method, scored = self.method, bool(self.tally.views)
+        method, errors = self.method, self.tally.summary(seed) if self.tally.views else None
+        ends = errors[scores.RADIOMETRIC][GROUND].get("interval_95", {}).get("me_k") if errors else None
         own_range = method.model.range_k if method.model and method.bounds == OWN else None
         wrong = {
             name: {"share": row[0] / row[3], "used": row[1] / row[0], "true": row[2] / row[0]}
@@ -79,17 +93,16 @@ class Results:
             if abs(row[1] - row[2]) > _EMISSIVITY * row[0] and row[0] > _SHARE * row[3]
         }
         return {
-            "letter": method.letter, "map": method.name, "bounds": method.bounds, "knows": method.knows,
+            "kind": method.kind, "map": method.name, "bounds": method.bounds, "knows": method.knows,
             "true_objects": method.true_objects,
             "range_c": None if own_range is None else [limit - ZERO_CELSIUS_K for limit in own_range],
             "once_s": self.once_s / max(self.in_scenes, 1),
             "scenes": len({name for _, grouping, name in self.tally.groups if grouping == "scene"}),
-            "errors": self.tally.summary(seed) if scored else None,
-            "groups": self.tally.grouped() if scored else {},
+            "errors": errors, "groups": self.tally.grouped() if errors else {},
             "targets": self.targets.summary(), "structure": self.appearance.summary(), "gain": self.gain.summary(),
             "registered": self.registered.summary(),
-            "causes": self.causes.summary(), "emissivities": {"scene": wrong},
-            "likeness": self.likeness.summary(),
+            "causes": self.causes.summary(partial(findings.said, method.kind, ends)), "emissivities": {"scene": wrong},
+            "likeness": self.likeness.summary(), "order": self.order,
             "steadiness_k": _deviation(self.changes),
             "seconds_per_frame": float(np.median(self.seconds)) if self.seconds else None,
             "training_s": None if origin is None else origin.header["training_s"],
@@ -124,11 +137,18 @@ class Trial:
     """All methods of one scene at all of its poses; results are added to `totals`.
 
     `seed` is that of the sensor's noise, `arrays` the folder of frames; `photographs` (H, W, 3) are searched for
-    training pictures.
+    training pictures. `times_s` are run times of frames that others measured, by name of the map or program [s].
     """
 
-    def __init__(self, setup: Setup, totals: Totals, seed: int, arrays: Path | None) -> None:
-        self._setup, self._totals, self._arrays = setup, totals, arrays
+    def __init__(
+        self,
+        setup: Setup,
+        totals: Totals,
+        seed: int,
+        arrays: Path | None,
+        times_s: Mapping[str, float] = MappingProxyType({}),
+    ) -> None:
+        self._setup, self._totals, self._arrays, self._times_s = setup, totals, arrays, times_s
         self.scene: Scene = setup.reference.scene
         self._sensor = sensor_of(self.scene.camera, seed)
         self._results: dict[str, Results] = {}
@@ -141,24 +161,24 @@ class Trial:
         self._computed = setup.has_truth and self.scene.balanced
         self._reference = "reference, computed" if self._computed else "reference"
         self._objects = [item.name for item in self.scene.spec.objects]
-        vertices = np.concatenate([s.vertices[:, :2] for s in self.scene.near_ground])
-        self._corners = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+        self._cell_m: float | None = None
         self._pairs = self._twins()
         # Tiles have no radiances of texels, which terms need.
         terms = self._pairs if self.scene.world is None else ()
         self._terms = {name: np.zeros((len(NAMES) + 1, sums.WIDTH)) for name in terms}
         self._apart = 0.0
         self._appearance, self._changes = Appearance(), np.zeros(3)
+        self._orders = {each.label: FrameOrder() for each in setup.methods if each.kind == FOREIGN}
         self.photographs: list[NDArray[np.uint8]] = []
         self._between_methods: dict[tuple[str, str], NDArray[np.float64]] = {}
         self._reports: dict[str, Any] = {}
 
     def _twins(self) -> dict[str, tuple[Method, Method]]:
-        """Return {map: (its B, its C1)} with the best bounds that both have."""
+        """Return {map: (it on the photograph, as kelvin with true materials)} with the best bounds that both have."""
         rendered = {(each.name, each.bounds): each for each in reversed(self._setup.methods)
-                    if each.letter == "C1" and not each.true_objects}  # fmt: skip
+                    if each.kind == TRUE_MATERIALS and not each.true_objects}  # fmt: skip
         return {each.name: (each, rendered[each.name, each.bounds]) for each in self._setup.methods
-                if each.letter == "B" and (each.name, each.bounds) in rendered}  # fmt: skip
+                if each.kind == PHOTOGRAPH and (each.name, each.bounds) in rendered}  # fmt: skip
 
     def run(self, pictures: Pictures | None, report: Progress, spread: Spread = map) -> None:
         """Score every method at every pose, add the scene's pictures, and render methods through `spread`."""
@@ -186,6 +206,9 @@ class Trial:
             if self._arrays is not None:
                 self._keep(self._arrays / "arrays", view, seen)
             before = view, taken
+        for label, order in self._orders.items():
+            found = order.summary()
+            self._results[label].order += [] if found is None else [{"scene": self.scene.name, **found}]
 
     def _taken(self, view: View) -> dict[str, Picture]:
         """Return {label: Picture} of a View."""
@@ -199,10 +222,15 @@ class Trial:
             else:
                 began = method.clock()
                 radiance = method.radiance(view)
-                own.seconds.append(method.clock() - began)
+                spent = method.clock() - began
+                if method.kind in (FOREIGN, PHOTOGRAPH) and method.name in self._times_s:
+                    own.seconds.append(self._times_s[method.name])
+                elif method.kind != FOREIGN:
+                    # The time to read another program's frame is not its own.
+                    own.seconds.append(spent)
             image = apparent_temperature(radiance, camera.band_um)
             taken[method.label] = Picture(image, *_read(radiance, self._sensor, camera, view.index))
-            if view.truth is not None and method.letter not in ("D", "E"):
+            if view.truth is not None and method.kind not in FLAT:
                 own.gain.add(image[view.ground], view.truth[view.ground])
         return taken
 
@@ -222,7 +250,10 @@ class Trial:
         true_counts = self._sensor.counts_at_rest(view.truth_radiance, view.index)
         true_read = apparent_temperature(radiance_from_counts(true_counts, camera), camera.band_um)
         self._totals.targets.add(scene, view, self._objects, truth, true_counts)
-        classes = PixelClasses(view, self._objects, self._corners)
+        if self._cell_m is None and view.ground.any():
+            assert view.position is not None
+            self._cell_m = side_of(view.position[view.ground])
+        classes = PixelClasses(view, self._objects, self._cell_m)
         reference = transform(truth, view.known)
         self._appearance.add(reference, reference)
         for label, (image, counts, read) in taken.items():
@@ -237,14 +268,16 @@ class Trial:
                     ))  # fmt: skip
             spectrum = transform(image, view.known)
             shift = own.appearance.add(spectrum, reference)
-            if own.method.letter == "foreign" and (shift is None or abs(shift[2]) < ALIKE):
+            if own.method.kind == FOREIGN and (shift is None or abs(shift[2]) < ALIKE):
                 own.likeness.add(spectrum, reference, image, (truth, view.visible.mean(axis=-1)), view.known)
-            if not own.method.true_objects and own.method.letter not in ("D", "E"):
-                fitting.add(own.causes, view, image, shift)
+            if not own.method.true_objects and own.method.kind not in FLAT:
+                fitting.add(own.causes, view, image, shift, own.method.kind == FOREIGN)
+            if label in self._orders:
+                self._orders[label].add(image, truth, view.known)
             own.targets.add(scene, view, self._objects, image, counts)
 
     def _split(self, view: View, taken: Mapping[str, Picture]) -> None:
-        """Add the shifts and the terms of the differences between B and C1 at a View."""
+        """Add the shifts and the terms of the differences between a map on the photograph and as kelvin at a View."""
         for name, (method, rendered) in self._pairs.items():
             flat, solid = taken[method.label], taken[rendered.label]
             pair = (transform(each.seen, view.known) for each in (flat, solid))
@@ -312,7 +345,7 @@ class Trial:
             "computed": self._computed,
             "assumed_materials": not setup.has_truth or scene.spec.emissivity.source in _ASSUMED,
             "campaign": None if setup.campaign is None else vars(setup.campaign),
-            "plan": setup.reference.plan.as_dict(),
+            "plan": setup.reference.plan.as_dict(), "planned": setup.reference.plan.rows(),
             "terms": pairs, "terms_apart_mk": 1e3 * self._apart, "spectrum": spectrum,
             "steadiness_k": _deviation(self._changes), "maps": self._reports,
             "differences": [{"one": one, "other": other, **sums.summary(row)}
@@ -330,8 +363,8 @@ def _described(setup: Setup, method: Method) -> dict[str, Any]:
     """Return facts of a rendered method's scene: whether it made the truth, and its and the true emissivities."""
     scene, true = method.renderer.scene, setup.reference.scene
     facts: dict[str, Any] = {"circular": [], "emissivities": {}, "report": dict(scene.temperature_state.report)}
-    if setup.has_truth and method.letter != "F":
-        text = provenance.circular(scene, true) if method.letter != "P" else None
+    if setup.has_truth and method.kind != BALANCE:
+        text = provenance.circular(scene, true) if method.kind != PRIVILEGED else None
         facts["circular"] += [text] if text else []
         rows = emissivities.of_scenes(scene, true)
         facts["emissivities"] = {name: row.tolist() for name, row in rows.items()}

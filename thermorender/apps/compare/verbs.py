@@ -1,5 +1,6 @@
 """Verbs that compare: translation with the render, maps with a data set, a frame with the cost of its rays."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
 
@@ -20,6 +21,7 @@ from thermorender.cli.options import (
 from thermorender.cli.terminal import NewResults, Results, Time, at_time, named, output_option, progress, split, table
 from thermorender.cli.workers import Cluster, spread_over
 from thermorender.errors import ThermorenderError
+from thermorender.numbers import parse_numbers
 
 
 @flat
@@ -42,17 +44,22 @@ def compare(
         typer.Option(help="NAME=FOLDER with another program's frames, pose_0000.tif and so on, TIFFs that declare "
                      "their unit; for several scenes in folders of the scenes' names. Repeat for more."),
     ] = None,
+    run_time: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=MS: your own run time of a frame, of another program or of a map on the photograph. "
+                     "Repeat for more.", rich_help_panel="maps and files"),
+    ] = None,
     dataset: Annotated[
         list[Path] | None,
         typer.Option(help="Data set that maps were trained on: the scenes are searched in it. Repeat for more.",
                      rich_help_panel="maps and files"),
     ] = None,
     methods: Annotated[
-        str, typer.Option(help="Comma-separated: B, maps applied to photographs; C1 and C2, to the orthophoto and "
-                          "rendered with true and with learned materials; D, E, means; F, the heat balance.")
-    ] = "B,C1,C2,D,E,F",
+        str, typer.Option(help="Comma-separated: maps on the photograph, or as kelvin with true or learned materials; "
+                          "means; the heat balance.")
+    ] = "photograph,true-materials,learned-materials,constant,per-material,frame-mean,balance",
     emissivity: Annotated[
-        str, typer.Option(help="Emissivity map of C2.", rich_help_panel="maps and files")
+        str, typer.Option(help="Emissivity map of the learned materials.", rich_help_panel="maps and files")
     ] = defaults.EMISSIVITY_MAP,
     log: TrajectoryOptions,
     rate_hz: Annotated[float, typer.Option(help="Poses per second of flight.")] = 1.0,
@@ -68,12 +75,12 @@ def compare(
 ) -> None:  # fmt: skip
     """Compare learned 2D translation with the radiometric render of the same poses: a page, a table, pictures."""
     from thermorender.apps.compare import comparison, findings, report
-    from thermorender.apps.compare.methods import check_letters, learned_materials
+    from thermorender.apps.compare.methods import check_kinds, learned_materials
     from thermorender.apps.compare.view import Flight
     from thermorender.apps.training.dataset import read_dataset
 
-    letters = split(methods)
-    check_letters(letters or [""])
+    kinds = split(methods)
+    check_kinds(kinds or [""])
     folders = dict(named(text, "--foreign", "NAME=FOLDER") for text in foreign or ())
     with progress() as advance, spread_over(cluster, output) as spread:
         flights = []
@@ -81,22 +88,38 @@ def compare(
             loaded = situation.load(name)
             flights.append(Flight.of(loaded, log.read(loaded, rate_hz), rate_hz, log.start_s, log.stop_s))
         options = comparison.Options(
-            letters, privileged, folders, [read_dataset(one) for one in dataset or ()],
+            kinds, privileged, folders, _times_s(run_time or ()), [read_dataset(one) for one in dataset or ()],
             learned_materials(emissivity), arrays, seed, {"device": device, **sampling.settings()},
         )  # fmt: skip
         summary = comparison.compare(flights, output, split(models), options, advance, spread)
     for each in report.terminal(summary):
         table(each.head, each.rows)
+    for line in report.unconverged(summary):
+        typer.echo(line)
+    unexplained = findings.headline(summary)
+    for line in unexplained[:3]:
+        typer.echo(line)
+    if len(unexplained) > 3:
+        typer.echo(f"and {len(unexplained) - 3} more in report.html")
     for title, grave, lines in findings.grouped(summary["findings"]):
         typer.echo(f"{title}:")
         for line in lines if grave else lines[:3]:
             typer.echo(f"  {line}")
         if not grave and len(lines) > 3:
             typer.echo(f"  and {len(lines) - 3} more in report.html")
-    rest = findings.nothing(summary)
-    if rest:
-        typer.echo(rest)
     typer.echo(f"report.html, pixels.csv, comparison.json and pictures in {output}")
+
+
+def _times_s(given: Iterable[str]) -> dict[str, float]:
+    """Return {name: seconds} of NAME=MS."""
+    found = {}
+    for text in given:
+        name, value = named(text, "--run-time", "NAME=MS")
+        (milliseconds,) = parse_numbers("--run-time", value, ("MS",))
+        if not milliseconds > 0.0:
+            raise ThermorenderError(f"--run-time={text!r} is not allowed; give a time above 0 ms")
+        found[name] = 1e-3 * milliseconds
+    return found
 
 
 def bench(
@@ -140,6 +163,9 @@ def evaluate(
     part: Annotated[str, typer.Option(help="train, validation or test.")] = "test",
     limit: Annotated[int | None, typer.Option(help="Number of pairs to score, evenly spaced.", min=1)] = None,
     seed: Annotated[int, typer.Option(help="Seed of the bootstrap.", min=0)] = 0,
+    leaks: Annotated[
+        bool, typer.Option("--leaks/--no-leaks", help="Search the pictures for those of training; kept for later runs.")
+    ] = True,
     cluster: Cluster = None,
 ) -> None:
     """Print errors of learned maps on a data set, in kelvin, with simple methods and the least possible error."""
@@ -157,7 +183,7 @@ def evaluate(
     with progress() as advance, spread_over(cluster, output) as spread:
         data = read_dataset(dataset)
         result = evaluation.evaluate(
-            data, models, output, privileged, folders, parts, part, limit, seed, advance, spread
+            data, models, output, privileged, folders, parts, part, limit, seed, advance, spread, leaks
         )
     for line in evaluation_report.lines_before(result):
         typer.echo(line)
@@ -176,5 +202,11 @@ def demo(output: Results = Path("out/demo"), device: Device = "auto") -> None:
     if (output / "flight" / "flight.json").exists():
         raise ThermorenderError(f"{output} already holds a demo; give another folder with -o, or remove it")
     fly(defaults.SCENE, output / "flight", rate_hz=4.0, device=device)
-    compare([defaults.SCENE], output / "comparison", methods="B,C1,D", rate_hz=0.2, device=device)
+    compare(
+        [defaults.SCENE],
+        output / "comparison",
+        methods="photograph,true-materials,frame-mean",
+        rate_hz=0.2,
+        device=device,
+    )
     typer.echo(f"look at {output / 'flight' / 'flight.mp4'} and at {output / 'comparison' / 'report.html'}")

@@ -13,10 +13,12 @@ The index holds the byte offset of every file in its shard, so a pair is read wi
 length and returns each pair as a dict of arrays, as a PyTorch DataLoader expects.
 """
 
+import hashlib
 import io
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -188,6 +190,15 @@ class Dataset:
             "key": found.entry.key, "visible": found.visible, "thermal": found.thermal.astype(np.int32),
             "radiance": found.radiance.astype(np.float32), "valid": found.valid,
         }  # fmt: skip
+
+    def digest(self) -> str:
+        """Return a fingerprint (hex) of the pairs, their parts, and the sizes and times of change of their files."""
+        state = hashlib.blake2b(repr((sorted(self.card.items(), key=str), self.entries)).encode(), digest_size=20)
+        for shard in sorted({entry.shard for entry in self.entries}):
+            with suppress(OSError):
+                status = (self.folder / shard).stat()
+                state.update(repr((shard, status.st_size, status.st_mtime_ns)).encode())
+        return state.hexdigest()
 
     def of(self, *parts: str) -> "Dataset":
         """Return the subset in the given parts."""

@@ -12,6 +12,7 @@ from thermorender.apps.training.bounds import Bounds, bounds_of_dataset
 from thermorender.apps.training.cut import Cut, moved
 from thermorender.apps.training.dataset import Dataset, Entry, ThermalScale
 from thermorender.apps.training.map_inputs import depth_of, ground_of, inputs_of
+from thermorender.apps.training.networks.runs import read_settings
 from thermorender.apps.training.task import Example, Task
 from thermorender.apps.training.training_methods import METHODS, method
 from thermorender.errors import ThermorenderError
@@ -39,21 +40,26 @@ def train_map(
     name: str, method_name: str, dataset: Dataset, options: Mapping[str, Any] | None = None, seed: int = 0,
     progress: Progress | None = None, parts: Sequence[str] = ("train", "validation"), material: bool = False,
     shift_px: float = 0.0, share: float = 1.0, run: str | Path | None = None, resume: bool = False,
-    judged: bool = True,
+    best: bool = False, judged: bool = True,
 ) -> TemperatureMap:  # fmt: skip
     """Return the TemperatureMap of a method, trained on some parts of a Dataset.
 
     `options` replace the method's defaults. `material` adds the true material of each pixel (a privileged map).
     `shift_px` is the length of a random shift of each thermal picture [px]. `share` is that of the sequences, evenly
-    spaced. `run` is the folder of a network's training. `judged` also measures `error_k`, on pairs outside of the fit:
-    the validation part, for which the map is fitted again without it, or by cross-validation where that part has fewer
-    than 30. A network is judged on every second validation sequence; the others choose its best state.
+    spaced. `run` is the folder of a network's training; `best` takes the best state there, with the run's own options
+    and seed, without training on. `judged` also measures `error_k`, on pairs outside of the fit: the validation part,
+    for which the map is fitted again without it, or by cross-validation where that part has fewer than 30. A network is
+    judged on every second validation sequence; the others choose its best state.
 
     Intensity 0 and 1 are 1.5 interquartile ranges beyond the quartiles of the training values (equation 2 of the
     published method), with 0 at 150 K or above; saturated pixels are left out. The published correlations were fitted
     on training and validation.
     """
     how, report_progress = method(method_name), progress or (lambda task, fraction: None)
+    if best:
+        assert run is not None
+        settings = read_settings(run)
+        options, seed = {**settings["options"], **(options or {})}, settings["seed"]
     options = checked_options(method_name, how.options, options or {})
     if material:
         _refuse_privileged(method_name)
@@ -78,7 +84,7 @@ def train_map(
         task = Task(
             _Examples(some, how.plus, options, material, cut, usable), (radiance - cold) / (warm - cold), kelvin, seed,
             report_progress, options, texel_m, texel_range_m, held if held.any() and not held.all() else None,
-            None if run is None else Path(run), resume,
+            None if run is None else Path(run), resume, best,
         )  # fmt: skip
         return how.fit(task)
 

@@ -40,3 +40,4 @@ class Task:
     # Folder for checkpoints, log and sample pictures of a long training; None for other methods
     run: Path | None = None
     resume: bool = False  # Continue the training in that folder
+    best: bool = False  # Take the best state so far in that folder, without training on

@@ -1,16 +1,20 @@
 """Search for a map's training pictures in the pictures that it is applied to or tested on."""
 
+import hashlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.apps.training.kept_searches import kept
 from thermorender.apps.training.translate import VIDEOS, UnreadableError, read_picture, sources_of
 from thermorender.files import PathLike
 from thermorender.learned.fingerprints import Seen, search
 from thermorender.learned.temperature_map import TemperatureMap
+from thermorender.progress import Progress
 
 # Most pictures that are searched, evenly spaced over the given ones.
 MOST_SEARCHED = 200
@@ -101,6 +105,34 @@ def search_in(
     )  # fmt: skip
     found = {name: one for name, one in zip(searched, seen, strict=True) if one is not None}
     return Search(model, len(names), len(searched), found, tuple(unreadable))
+
+
+def searches_in(
+    models: Sequence[TemperatureMap], names: Sequence[str], read: Callable[[int], NDArray[np.uint8] | None],
+    progress: Progress | None = None, digest: str | None = None,
+) -> list[Search]:  # fmt: skip
+    """Return the Search of each map; maps of the same training pictures share one.
+
+    `digest` is a fingerprint of the pictures, by which later runs find the result in the cache; without one, the result
+    is not kept. `progress` takes (step, share done).
+    """
+    report, found = progress or (lambda step, share: None), dict[str, Search]()
+    searches = []
+    for model in models:
+        prints = model.fingerprints
+        state = repr(None if prints is None else (prints.rows.tobytes(), prints.pictures))
+        key = hashlib.blake2b(state.encode(), digest_size=20).hexdigest()
+
+        def searched(model: TemperatureMap = model) -> dict[str, Any]:
+            step = f"searching training pictures of {model.name}"
+            return search_in(model, names, read, partial(report, step)).summary()
+
+        if key not in found:
+            own = searched() if digest is None or prints is None else kept(("pictures", key, digest), searched)
+            seen = {name: Seen(**each) for name, each in own["found"].items()}
+            found[key] = Search(model, own["given"], own["searched"], seen, tuple(own["unreadable"]))
+        searches.append(replace(found[key], model=model))
+    return searches
 
 
 def search_in_files(

@@ -212,12 +212,16 @@ def train(
                      "file with .run for .npz."),
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Networks: continue the training of that folder.")] = False,
+    best: Annotated[
+        bool, typer.Option("--best", help="Networks: write the map of the best state so far in that folder, without "
+                           "training on; a training there may go on.")
+    ] = False,
 ) -> None:  # fmt: skip
     """Train a learned map: from colour to temperature on a data set, or to materials on scenes."""
     if method == "emissivity":
-        if of or setting or privileged or run or resume:
+        if of or setting or privileged or run or resume or best:
             raise ThermorenderError(
-                "--split, --set, --privileged, --run and --resume belong to maps of temperature; leave them out"
+                "--split, --set, --privileged, --run, --resume and --best belong to maps of temperature; leave them out"
             )
         if base is not None:
             _update_emissivity(sources, output, labels, base, seed, texel_m is None)
@@ -228,12 +232,12 @@ def train(
         raise ThermorenderError(
             f"--labels, --from and --texel-m belong to `train emissivity`, not to {method!r}; leave them out"
         )
-    _train_temperature(method, sources or [], output, of, setting or [], privileged, seed, run, resume)
+    _train_temperature(method, sources or [], output, of, setting or [], privileged, seed, run, resume, best)
 
 
 def _train_temperature(
     method: str, sources: list[str], output: Path, of: Path | None, setting: list[str], privileged: bool, seed: int,
-    run: Path | None, resume: bool,
+    run: Path | None, resume: bool, best: bool,
 ) -> None:  # fmt: skip
     """Train a map from colour to temperature, and print its error."""
     from thermorender.apps.training.audit import memory_of
@@ -243,8 +247,12 @@ def _train_temperature(
     from thermorender.apps.training.training_methods import method as known
     from thermorender.learned.temperature_map import save_map
 
-    if not known(method).long and (run or resume):
-        raise ThermorenderError(f"--run and --resume belong to networks, and {method!r} is not one; leave them out")
+    if not known(method).long and (run or resume or best):
+        raise ThermorenderError(
+            f"--run, --resume and --best belong to networks, and {method!r} is not one; leave them out"
+        )
+    if resume and best:
+        raise ThermorenderError("--resume trains on and --best does not; give one of them")
     if len(sources) != 1:
         raise ThermorenderError(f"train {method} was given {len(sources)} data sets; give one")
     pairs = read_dataset(sources[0])
@@ -254,8 +262,9 @@ def _train_temperature(
     with progress() as report:
         folder = (run or output.with_suffix(".run")) if known(method).long else None
         model = train_map(
-            output.stem, method, pairs, options, seed, report, material=privileged, run=folder, resume=resume
-        )
+            output.stem, method, pairs, options, seed, report, material=privileged, run=folder, resume=resume,
+            best=best,
+        )  # fmt: skip
         # Only one process of a data-parallel training writes.
         if os.environ.get("RANK", "0") != "0":
             return

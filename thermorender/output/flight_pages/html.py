@@ -31,8 +31,12 @@ def table(head: Iterable[object], rows: Iterable[tuple[Iterable[object], bool]],
 
 
 def figure(content: bytes, words: str) -> str:
-    """Return a figure of the bytes of a PNG or JPEG with a caption."""
-    kind, data = "png" if content.startswith(b"\x89PNG") else "jpeg", base64.b64encode(content).decode()
+    """Return a figure of the bytes of a PNG, JPEG or SVG with a caption."""
+    kinds = ((b"\x89PNG", "png"), (b"<?xml", "svg+xml"))
+    kind, data = (
+        next((name for start, name in kinds if content.startswith(start)), "jpeg"),
+        base64.b64encode(content).decode(),
+    )
     return f"<figure><img src='data:image/{kind};base64,{data}' alt=''><figcaption>{text(words)}</figcaption></figure>"
 
 

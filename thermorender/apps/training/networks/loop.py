@@ -69,7 +69,8 @@ def train_network(task: Task, method: str) -> Network:
     first, world = _process()
     with ExitStack() as stack:
         folder = files.make_folder(Path(task.run or stack.enter_context(tempfile.TemporaryDirectory())))
-        if first:
+        # The best state may be taken while another process trains on.
+        if first and not task.best:
             stack.enter_context(files.in_use(folder))
         above_air = recipe.plus and "air_k" in task.examples[0].inputs.conditions
         side = int(options.get("side", recipe.side))
@@ -86,7 +87,10 @@ def train_network(task: Task, method: str) -> Network:
         # The linear base and the encoding count as training time.
         run.seconds, run.core_seconds = time.perf_counter() - began[0], _core_seconds() - began[1]
         try:
-            run.train()
+            if task.best:
+                run.take()
+            else:
+                run.train()
         finally:
             crops.close()
         return run.found()
@@ -194,6 +198,23 @@ class _Run:
                     self.stopped = "training exploded"
                 losses, began = {}, None
 
+    def take(self) -> None:
+        """Take over what a training has reached, and leave its folder as it is."""
+        runs.check(self.folder, {name: value for name, value in self._settings().items() if name != "world"})
+        last = self.folder / runs.LAST
+        if not (last.exists() and (self.folder / runs.BEST).exists()):
+            raise ThermorenderError(
+                f"{self.folder} has no validated state yet; train on to the first validation, or start again with a "
+                "smaller --set every"
+            )
+        self._take(last)
+
+    def _take(self, last: Path) -> None:
+        """Read the state of the last validation."""
+        facts = checkpoint.load(last, *self._state())
+        self.done, self.best = facts["crops"], facts["best"]
+        self.seconds, self.core_seconds = facts["seconds"], facts["core_seconds"]
+
     def found(self) -> Network:
         """Return the Network of the best state, or of the last epoch with the option `published`."""
         best, published = self.folder / runs.BEST, bool(self.task.options.get("published"))
@@ -249,22 +270,24 @@ class _Run:
             for crop, each in zip(some, given, strict=True):
                 yield crop, *self.kelvin(crop, each)
 
-    def _begin(self) -> None:
-        """Write the run's settings, or resume it."""
+    def _settings(self) -> dict[str, Any]:
+        """The settings of the run, as its folder keeps them."""
         settings = {"method": self.method, "seed": self.task.seed, "options": self.task.options, "world": self.world,
                     "examples": [len(self.task.examples), self.crops.digest(self.validated)],
                     "encoding": self.encoding.header()}  # fmt: skip
-        settings = json.loads(json.dumps(settings))
+        kept: dict[str, Any] = json.loads(json.dumps(settings))
+        return kept
+
+    def _begin(self) -> None:
+        """Write the run's settings, or resume it."""
         if self.first:
-            runs.begin(self.folder, settings, self.task.resume)
+            runs.begin(self.folder, self._settings(), self.task.resume)
         _agreed(0.0)
         last = self.folder / runs.LAST
         if last.exists():
             if not (self.folder / runs.BEST).exists():
                 raise ThermorenderError(f"{self.folder} lacks {runs.BEST}, the best state so far; give another --run")
-            facts = checkpoint.load(last, *self._state())
-            self.done, self.best = facts["crops"], facts["best"]
-            self.seconds, self.core_seconds = facts["seconds"], facts["core_seconds"]
+            self._take(last)
             if self.first:
                 runs.cut_log(self.folder, self.done)
 

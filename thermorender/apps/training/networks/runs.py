@@ -34,18 +34,23 @@ def begin(folder: Path, settings: dict[str, Any], resume: bool) -> None:
     if not path.exists() and not last.exists():
         formats.write_json(path, settings | {"versions": versions()})
     else:
-        kept = read_settings(folder)
-        differing = [name for name in settings if kept.get(name) != settings[name]]
-        if differing:
-            raise ThermorenderError(
-                f"{folder} holds a training of other settings ({', '.join(differing)}); give another --run"
-            )
+        check(folder, settings)
         if not resume:
             raise ThermorenderError(f"{folder} holds a training; continue it with --resume, or give another --run")
     if not last.exists():
         # It was stopped in the first epoch.
         cut_log(folder, 0)
         (folder / BEST).unlink(missing_ok=True)
+
+
+def check(folder: Path, settings: dict[str, Any]) -> None:
+    """Refuse a run of other settings."""
+    kept = read_settings(folder)
+    differing = [name for name in settings if kept.get(name) != settings[name]]
+    if differing:
+        raise ThermorenderError(
+            f"{folder} holds a training of other settings ({', '.join(differing)}); give another --run"
+        )
 
 
 def read_settings(folder: PathLike) -> dict[str, Any]:
