@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
-from thermorender.materials.mixture import Mixture, parts_of
+from thermorender.materials.mixture import Mixture, parts_of, spectra_of
 from thermorender.scene.raster import Grid, grid_of, onto, opened, read_band
 from thermorender.scene.spec import TemperatureSpec, WeatherSpec
 from thermorender.scene.surface import FALLBACK, MOST_OPEN, Surface, fill, nearest_valid, open_share, scene_kelvin
@@ -154,7 +154,8 @@ def _raster(spec: TemperatureSpec, texels: Texels) -> tuple[_Kelvin, NDArray[np.
 
 
 def _material(spec: TemperatureSpec, texels: Texels) -> tuple[_Kelvin, NDArray[np.uint8]]:
-    pure = [part for material in texels.materials for part, _ in parts_of(material)]
+    # A map that is not sure of a material has it in none of its mixtures' main parts, perhaps.
+    pure = [part for material in texels.materials for part, _ in (*parts_of(material), *spectra_of(material))]
     known = list(dict.fromkeys(material.name for material in pure))
     for name in spec.materials:
         if name not in known:

@@ -17,6 +17,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import Inputs
 from thermorender.output.photograph import photograph
 from thermorender.physics.band import radiance_in_band
+from thermorender.physics.planck import band_radiance
 from thermorender.render.flight.live import LiveFrames
 from thermorender.render.flight.timed import TimedRenderer
 from thermorender.trajectory.readers import enu_from_ned_at, of_vehicle
@@ -161,7 +162,9 @@ class TranslatedFrames(LiveFrames[Renderer]):
             depth = renderer.depth(pose)
             near = depth[covered & np.isfinite(depth)]
             texel_m = float(np.median(near)) / renderer.scene.camera.focal_length_px if near.size else None
-        radiance = self.model.limited(self.model.radiance(Inputs(picture, texel_m)))
+        # Hot spots beyond the trained range keep their contrast, which a seeker follows.
+        coldest = band_radiance(self.model.limits_k[0], *self.model.band_um)
+        radiance = np.maximum(self.model.radiance(Inputs(picture, texel_m)), coldest)
         radiance = radiance_in_band(radiance, self.model.band_um, renderer.scene.camera.band_um).astype(np.float32)
         plan = {"method": "B", "map": self.model.name}
         return renderer.frame_of(radiance, pose, plan, time_s, index, objects)
