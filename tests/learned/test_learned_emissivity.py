@@ -434,11 +434,10 @@ def test_a_map_averages_the_uncertainties_that_its_mixtures_state(model):
     mean, mean_std, std = (float(each) for each in own.moments(probability, value))
     assert mean == pytest.approx(float(mixed.band_emissivity(*band)), abs=1e-6)
     assert mixed.band_emissivity_mean_std(*band) == pytest.approx(mean_std, rel=1e-5)
-    # By hand: bare land, roofs and water, whose means are uncertain by 0.010, 0.010 and 0.002, but for the fifth part
-    # that the networks decide.
+    # By hand: bare land, roofs and water, whose means are uncertain by 0.010, 0.010 and 0.002.
     weight = np.array([0.4, 0.5, 0.1])
     group = np.array([probability[k] @ value[k] / w for k, w in zip(([0, 1], [2, 3], [4]), weight, strict=True)])
-    unsure = 0.8 * weight @ [0.010, 0.010, 0.002]
+    unsure = weight @ [0.010, 0.010, 0.002]
     assert mean_std == pytest.approx(np.hypot(0.8 * np.sqrt(weight @ (group - mean) ** 2), unsure), rel=1e-4)
     # Samples of a material differ too, which the map does not know.
     samples = [np.nan_to_num(library[name].band_emissivity_std(*band)) for name in names]
@@ -939,10 +938,14 @@ def test_study_seeds_must_be_integers(tmp_path, call_module):
     assert status == 2 and "--seeds='one' is not allowed" in errors
 
 
-def test_moments_of_materials_that_are_groups_are_those_of_a_draw(model):
+def test_spreads_of_materials_that_are_groups_are_those_of_a_draw(model):
     own = replace(model, materials=("a", "b", "c"), groups=(), share=(), own=(), outputs=(), spread=(1.0, 1.0))
     probability = np.array([[[255, 0, 0], [51, 204, 0], [0, 0, 0]]], np.uint8)
-    mean, mean_std, std = own.moments(probability, np.array([0.9, 0.4, 0.1]))
+    mean, between, within, _ = own.spreads(probability, np.array([0.9, 0.4, 0.1]))
     np.testing.assert_allclose(mean, [[0.9, 0.2 * 0.9 + 0.8 * 0.4, 0.0]], atol=1e-6)
-    np.testing.assert_allclose(std, [[0.0, 0.5 * np.sqrt(0.2 * 0.8), 0.0]], atol=3e-4)
-    np.testing.assert_allclose(mean_std, std, atol=3e-4)
+    np.testing.assert_allclose(within, [[0.0, 0.5 * np.sqrt(0.2 * 0.8), 0.0]], atol=3e-4)
+    np.testing.assert_allclose(between, within, atol=3e-4)
+    # Each material differs by 0.010 between places.
+    np.testing.assert_allclose(
+        own.moments(probability, np.array([0.9, 0.4, 0.1]))[1][0, :2], [0.01, 0.20025], atol=1e-4
+    )

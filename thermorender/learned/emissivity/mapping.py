@@ -77,21 +77,23 @@ class EmissivityMap:
 
     def doubt(self, materials: Sequence[str]) -> Doubt:
         """Return the Doubt on materials by name: the map's own, and others that are groups of their own."""
-        number = {name: k for k, name in enumerate(self.materials)}
-        return Doubt(
-            tuple(self.groups[number[name]] if name in number else name for name in materials),
-            tuple(self.mean_std[number[name]] if name in number else 0.0 for name in materials), self.spread,
-        )  # fmt: skip
-
-    @cached_property
-    def mean_std(self) -> tuple[float, ...]:
-        """The uncertainty of the mean of each material's group; none where labels decide which material it is."""
-        return tuple((1.0 - own) * mean_std_of(group) for group, own in zip(self.groups, self.own, strict=True))
+        group = dict(zip(self.materials, self.groups, strict=True))
+        groups = tuple(group.get(name, name) for name in materials)
+        return Doubt(groups, tuple(map(mean_std_of, groups)), self.spread)
 
     def moments(self, probability: np.ndarray, emissivity: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return (mean, standard deviation of a mean over many such texels, of one texel) of emissivities, (…) each.
 
         `probability` (…, C) is in any unit and `emissivity` (C,) the materials'. See `materials.mixture.Doubt`.
+        """
+        mean, between, within, unsure = self.spreads(probability, emissivity)
+        of_mean, of_texel = self.spread
+        return mean, np.hypot(of_mean * between, unsure), np.hypot(of_texel * within, unsure)
+
+    def spreads(self, probability: np.ndarray, emissivity: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return (mean, standard deviation between groups, between materials, uncertainty of groups' means), (…) each.
+
+        `probability` and `emissivity` are those of `moments`.
         """
         total = probability.sum(axis=-1, keepdims=True, dtype=np.float32)
         share = probability / np.maximum(total, np.float32(1e-12))
@@ -104,10 +106,8 @@ class EmissivityMap:
             own = share[..., inside] @ value[inside] / np.maximum(part, np.float32(1e-12))
             between += part * (own - mean) ** 2
         within = np.maximum(share @ value**2 - mean**2, 0.0)
-        unsure = share @ np.array(self.mean_std, np.float32)
-        deviations = (np.hypot(factor * np.sqrt(each), unsure)
-                      for factor, each in zip(self.spread, (between, within), strict=True))  # fmt: skip
-        return mean, *deviations
+        unsure = share @ np.array([*map(mean_std_of, self.groups)], np.float32)
+        return mean, np.sqrt(between), np.sqrt(within), unsure
 
     def probabilities(self, described: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (probabilities (N, C) float32, novelty (N,) float32) of features, (N, F).
