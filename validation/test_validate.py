@@ -237,6 +237,7 @@ def test_convergence_measures_missing_cases_only(tmp_path, monkeypatch):
         convergence.convergence((), tmp_path, mode="slow")
 
 
+@pytest.mark.slow
 def test_far_ground_makes_frames_toward_the_horizon_more_accurate(tmp_path, short_heat):
     cases = horizon.run(tmp_path, (400.0,), (300.0,), (-5.0,), world_m=8000.0)
     none, coarse = cases
@@ -352,6 +353,7 @@ def test_made_scenes_match_their_names():
 # --- the verbs --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_errors_of_air_channels_are_below_the_plan(tmp_path, monkeypatch):
     scene = small(terrain(200))
     run = air.run

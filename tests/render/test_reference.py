@@ -139,6 +139,7 @@ def test_sheet_of_the_ground_is_seen_from_both_sides_as_in_frames(tmp_path):
         np.testing.assert_allclose(traced.mean(), frame.radiance.mean(), rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_steep_ground_has_its_light_and_its_stated_error_from_any_height(tmp_path):
     """Long rays end some millimetres from a face, where walks and paths would start inside of the ground."""
     height = np.random.Generator(np.random.Philox(3)).random((24, 24)) * 3.0

@@ -208,6 +208,7 @@ def test_a_map_that_takes_hour_or_relief_is_refused_at_once(tmp_path, monkeypatc
         renderer_of(folder, monkeypatch, quality="fast")
 
 
+@pytest.mark.slow
 def test_a_frame_keeps_its_tiles_while_later_frames_load_others(tmp_path, monkeypatch, own_cache):
     renderer = renderer_of(write_tiled(tmp_path / "scene"), monkeypatch, quality="fast")
     poses = [renderer.scene.pose(east, -30.0, 12.0, 0.0, -80.0, 0.0) for east in (-30.0, 30.0, 0.0)]
@@ -239,6 +240,7 @@ def two_cells(tmp_path, monkeypatch):
     return poses, alone, renderer_of(folder, monkeypatch, quality="fast")
 
 
+@pytest.mark.slow
 def test_tiles_that_are_read_ahead_are_those_of_the_next_cell_on_the_way(tmp_path, monkeypatch, own_cache):
     poses, alone, again = two_cells(tmp_path, monkeypatch)
     assert again.expect([poses[0], *poses, poses[1]]) == {2}
@@ -285,6 +287,7 @@ def test_no_more_tiles_are_read_ahead_than_memory_allows(tmp_path, monkeypatch, 
     assert 0 < len(set(new) & (set(again.loader.memory.tiles) | again.loader._bare)) <= 2 + len(again.loader._bare)
 
 
+@pytest.mark.slow
 def test_colours_of_tiles_are_those_of_the_picture_from_the_first_view_on(tmp_path, monkeypatch, own_cache):
     folder = write_tiled(tmp_path / "scene")
     renderer = renderer_of(folder, monkeypatch, quality="fast")
@@ -331,6 +334,7 @@ def test_a_picture_of_a_part_leaves_the_classes_beside_it_at_all_levels(tmp_path
         np.testing.assert_array_equal(own, true)
 
 
+@pytest.mark.slow
 def test_a_small_gap_of_the_classes_does_not_stop_a_flight_over_it(tmp_path, monkeypatch, own_cache):
     folder = write_tiled(tmp_path / "scene", size=257)
     numbers, step, corner = class_numbers(folder)
@@ -342,6 +346,7 @@ def test_a_small_gap_of_the_classes_does_not_stop_a_flight_over_it(tmp_path, mon
     assert 0.05 < filled.mean() < 1.0 and np.isfinite(frame.truth["kinetic_temperature"]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cache", ["", "~nobody_of_this_name/cache"])
 def test_tiles_in_memory_are_not_baked_again_where_no_cache_can_be_written(tmp_path, monkeypatch, own_cache, cache):
     folder = write_tiled(tmp_path / "scene")
@@ -365,6 +370,7 @@ def test_tiles_in_memory_are_not_baked_again_where_no_cache_can_be_written(tmp_p
     assert len(set(once)) == len(once) and "are not kept" in again.cache_note
 
 
+@pytest.mark.slow
 def test_tiles_that_another_process_bakes_meanwhile_are_not_baked_again(tmp_path, monkeypatch, own_cache):
     folder = write_tiled(tmp_path / "scene")
     other = renderer_of(folder, monkeypatch, rows=1, quality="fast")
@@ -384,6 +390,7 @@ def test_tiles_that_another_process_bakes_meanwhile_are_not_baked_again(tmp_path
     assert len(baked) == len(set(baked)) == len(needed)
 
 
+@pytest.mark.slow
 def test_a_tile_that_could_not_be_read_ahead_is_read_again(tmp_path, monkeypatch, own_cache):
     poses, alone, again = two_cells(tmp_path, monkeypatch)
     again.expect(poses)
@@ -418,6 +425,7 @@ def test_frames_state_pose_and_positions_in_the_frame_of_the_scene(tmp_path, mon
     np.testing.assert_allclose(position[shown][:, 2], ground, atol=5e-3)
 
 
+@pytest.mark.slow
 def test_a_flight_over_tiles_is_resumed_to_the_same_bytes(tmp_path, monkeypatch, own_cache):
     renderer = renderer_of(write_tiled(tmp_path / "scene"), monkeypatch, quality="fast")
     scene = renderer.scene
@@ -474,6 +482,7 @@ def test_a_link_out_of_the_folder_of_tiles_is_refused(tmp_path, own_cache):
         tr.load_scene(folder)
 
 
+@pytest.mark.slow
 def test_a_renderer_of_tiles_is_named_and_survives_pickling(tmp_path, monkeypatch, own_cache):
     monkeypatch.setattr(worlds, "TEXELS", 64)
     scene = narrow(tr.load_scene(write_tiled(tmp_path / "scene")))
@@ -535,6 +544,7 @@ def test_coarse_tiles_state_the_relief_that_they_leave_out(tmp_path, monkeypatch
     assert true < stated < 8.0 * true + 100.0
 
 
+@pytest.mark.slow
 def test_heights_in_degrees_and_pictures_of_a_part_are_taken(tmp_path, monkeypatch, own_cache):
     from rasterio.warp import transform
 

@@ -237,6 +237,7 @@ def test_coarse_texels_have_the_shares_of_classes_of_a_finer_raster(tmp_path):
     assert none == () and np.array_equal(same, fine)
 
 
+@pytest.mark.slow
 def test_the_balance_of_mixed_far_texels_is_the_mean_of_their_parts(tmp_path):
     source = '[temperature]\nsource = "balance"\n'
     for name, classes in (("mixed", None), ("grass", 1), ("sand", 2)):

@@ -1,6 +1,7 @@
 """A comparison over ground in tiles."""
 
 import numpy as np
+import pytest
 from compare_support import DOWN
 from tiled_support import write_in_one_piece, write_tiled
 
@@ -11,6 +12,7 @@ from thermorender.apps.compare.view import Flight
 from thermorender.scene import world as worlds
 
 
+@pytest.mark.slow
 def test_a_map_differs_from_its_render_over_tiles_as_over_the_same_rasters_in_one_piece(tmp_path, monkeypatch):
     monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(worlds, "TEXELS", 64)
