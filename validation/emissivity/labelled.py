@@ -258,7 +258,7 @@ def _squares(label, side, count, random):
     texels = {value: np.flatnonzero(label == value) for value in range(len(GROUPS))}
     groups = [value for value, where in texels.items() if where.size > 0.02 * label.size]
     made = 0
-    for attempt in range(300 * count):
+    for attempt in range(300 * count if groups else 0):
         value = groups[attempt % len(groups)]
         top, left = divmod(int(random.choice(texels[value])), label.shape[1])
         part = (slice(top, top + side), slice(left, left + side))

@@ -17,7 +17,7 @@ from thermorender.learned.emissivity.land_cover import group_of, shares_of
 from thermorender.learned.emissivity.mapping import MOST_MATERIALS, EmissivityMap, hidden, softmax, to_grid
 
 # Penalties tried, from almost free to almost fixed weights.
-_PENALTIES = (1e-3, 1e-2, 1e-1)
+_PENALTIES = (1e-4, 1e-3, 1e-2, 1e-1)
 _FOLDS = 5
 # Texels used of each polygon and of all, and the fewest polygons.
 _MOST_PER_POLYGON, _MOST_TEXELS, _FEWEST_POLYGONS = 150, 60_000, 4
@@ -70,7 +70,9 @@ def adapted(
     start = _start(model, before, width + len(more))
     folds = np.array_split(generator.permutation(len(polygon)), min(_FOLDS, len(polygon)))
     scored = {penalty: _left_out(start, before, label, of, folds, penalty) for penalty in _PENALTIES}
-    best = min(_PENALTIES, key=lambda penalty: _surprise(scored[penalty]))
+    values = np.zeros(width + len(more))
+    values[list(outputs)] = [emissivity(each) for each in materials]
+    best = min(_PENALTIES, key=lambda penalty: _error(scored[penalty], values))
     weight, bias = _fitted(start, before, label, of, best)
     near = np.stack([standard[of == one][:, NEAR].mean(axis=0) for one in range(len(polygon))])
     about = {**model.about, "adapted_to": f"{len(polygon)} polygons: {item.source}", "adapted_from": model.name}
@@ -90,7 +92,7 @@ def adapted(
     place = np.zeros(width + len(more), np.int64)
     place[list(outputs)] = np.arange(len(outputs))
     tests = [(probability[:, outputs] @ new.levelling, place[each]) for probability, each in scored[best]]
-    spread = fitted_spread(new, tests, np.array([emissivity(each) for each in materials]))
+    spread = fitted_spread(new, tests, values[list(outputs)])
     # Few polygons of one picture cannot show that the map is surer than it says.
     return replace(new, spread=(max(spread[0], 1.0), max(spread[1], 1.0)))
 
@@ -132,6 +134,8 @@ def _fitted(
     share = 1.0 / np.bincount(polygon)[polygon]
     share /= share.sum()
     texel = np.arange(len(label))
+    # Each network sees a part of the misfit only.
+    penalty /= len(first)
 
     def loss(flat: np.ndarray) -> tuple[float, np.ndarray]:
         change = flat.reshape(first.shape)
@@ -164,8 +168,8 @@ def _left_out(
     return found
 
 
-def _surprise(scored: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:
-    """Mean negative logarithm of the probability of the right material, of (probabilities, labels) pairs."""
-    return float(np.mean([
-        -np.log(np.maximum(probability[np.arange(len(label)), label], 1e-6)).mean() for probability, label in scored
-    ]))  # fmt: skip
+def _error(scored: Sequence[tuple[np.ndarray, np.ndarray]], emissivity: np.ndarray) -> float:
+    """Root mean square error of the emissivity of (probabilities, labels) pairs; `emissivity` is by output."""
+    return float(np.sqrt(np.mean([
+        np.mean((probability @ emissivity - emissivity[label]) ** 2) for probability, label in scored
+    ])))  # fmt: skip
