@@ -12,13 +12,19 @@ from thermorender.cli.terminal import Results, progress, split, table
 def map_materials(
     scene: SceneName,
     output: Results,
-    model: Annotated[str, typer.Option(help="Emissivity map: a file, or procedural.")] = defaults.EMISSIVITY_MAP,
-    fallback: Annotated[str, typer.Option(help="Material of unknown texels.")] = defaults.FALLBACK_MATERIAL,
-    confidence: Annotated[
-        float | None, typer.Option(help="Texels whose best material is less probable are unknown; default: as in "
-                                   "scene files.")
+    model: Annotated[
+        str | None, typer.Option(help="Emissivity map: a file, or procedural. Default: the scene's, else procedural.")
     ] = None,
-    without: Annotated[str, typer.Option(help="Comma-separated materials that do not occur in the scene.")] = "",
+    fallback: Annotated[
+        str | None, typer.Option(help=f"Material of unknown texels. Default: the scene's, else "
+                                 f"{defaults.FALLBACK_MATERIAL}.")
+    ] = None,
+    confidence: Annotated[
+        float | None, typer.Option(help="Texels with a less probable best material are unknown; default: the scene's.")
+    ] = None,
+    without: Annotated[
+        str, typer.Option(help="Comma-separated materials that do not occur, besides those that the scene leaves out.")
+    ] = "",
 ) -> None:  # fmt: skip
     """Write the materials that a learned map finds in a scene's orthophoto, to inspect and correct by hand."""
     from thermorender.scene.load import scene_folder

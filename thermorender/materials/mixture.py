@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from thermorender.materials.material import Material
 
+# Spread of one material's emissivity between places, about that of its samples: 0.006 to 0.016 for most.
+MATERIAL_STD = 0.010
 # Shares are rounded to eighths.
 _STEPS = 8
 _BAND_SAMPLES = 48
@@ -52,7 +54,9 @@ class Mixture(Material):
         variance = share @ ((value - share @ value) ** 2 + np.square(own))
         if self.doubt is None:
             return float(np.sqrt(variance))
-        return float(np.hypot(self.doubt.factors[1] * np.sqrt(variance), share @ self.doubt.mean_std))
+        alone = float(np.hypot(self.doubt.factors[1] * np.sqrt(variance), share @ self.doubt.mean_std))
+        # A texel varies at least as much as the mean that it is a part of.
+        return max(alone, self.band_emissivity_mean_std(lower_um, upper_um, temperature))
 
     def band_emissivity_mean_std(self, lower_um: float, upper_um: float, temperature: float) -> float:
         """Return the standard deviation [1] of the mean band emissivity of many such texels, NaN where it is unknown.
@@ -76,6 +80,17 @@ class Mixture(Material):
         share = np.array([part for _, part in self.possible])
         value, own = np.array([_band_values(material, band) for material, _ in self.possible]).T
         return share, value, own
+
+
+def uncertainties(material: Material, *band: float) -> tuple[float, float]:
+    """Return the standard deviations [1] of a material's band emissivity, of one texel and of a mean over many.
+
+    `band` is (lower [µm], upper [µm], temperature [K]). A material that is certain differs between places.
+    """
+    own = material.band_emissivity_std(*band)
+    if isinstance(material, Mixture) and material.doubt is not None:
+        return own, material.band_emissivity_mean_std(*band)
+    return max(MATERIAL_STD, float(np.nan_to_num(own))), MATERIAL_STD
 
 
 @lru_cache(maxsize=512)

@@ -9,7 +9,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.materials.mixture import Mixture
+from thermorender.materials.mixture import Mixture, uncertainties
 from thermorender.physics.planck import band_radiance
 from thermorender.render.air import AirView, SceneAir, Vacuum
 from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned, opaque_view
@@ -111,8 +111,7 @@ class DeviceScene:
         if any(isinstance(each, Mixture) for each in materials):
             tables.append([each.band_emissivity_std(*at) for each in materials])
         if any(isinstance(each, Mixture) and each.doubt for each in materials):
-            tables.append([each.band_emissivity_mean_std(*at) if isinstance(each, Mixture) else np.nan
-                           for each in materials])  # fmt: skip
+            tables[1:] = map(list, zip(*(uncertainties(each, *at) for each in materials), strict=True))
         return [self._mi.Float(aligned(table)) for table in tables]
 
     def alone(self, name: str, states: Sequence[ObjectState]) -> tuple[Geometry, Floats]:

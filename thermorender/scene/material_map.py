@@ -25,7 +25,7 @@ from thermorender.scene.map_view import MapView
 from thermorender.scene.mapped_cover import MappedCover, read_mapped_cover
 from thermorender.scene.orthophoto import read_colour
 from thermorender.scene.raster import Grid, grid_of, onto
-from thermorender.scene.spec import DEFAULT_CONFIDENCE, EmissivitySpec, SceneSpec, read_scene
+from thermorender.scene.spec import EmissivitySpec, SceneSpec, read_scene
 from thermorender.scene.surface import fill, nearest_valid
 from thermorender.scene.weathered_ground import is_snow
 
@@ -248,13 +248,14 @@ def orthophoto_of(spec: SceneSpec) -> Orthophoto:
 
 
 def write_map(
-    folder: Path | str, output: Path | str, model: str = EMISSIVITY_MAP, fallback: str = FALLBACK_MATERIAL,
+    folder: Path | str, output: Path | str, model: str | None = None, fallback: str | None = None,
     confidence: float | None = None, without: Sequence[str] = (), progress: Callable[[float], None] | None = None,
 ) -> tuple[dict[str, Path], dict[str, float], tuple[str, ...]]:  # fmt: skip
     """Write class, probability and confidence rasters and a picture of a scene's materials to the folder `output`.
 
     Returns ({kind: path}, {class: share}, sentences on the context). Texels below `confidence` are unknown and get the
-    material `fallback`; `without` names materials of the map that do not occur. `progress` takes the share done.
+    material `fallback`; `without` names further materials of the map that do not occur. What is not given is the
+    scene's, where its emissivity is learned. `progress` takes the share done.
 
     `classes.tif` holds material numbers (0 no image, 255 unknown) and `emissivity.toml` their table for a scene file.
     `probabilities.tif` has one band per material, in 1/255; `materials.png` shows orthophoto and classes side by side.
@@ -262,16 +263,24 @@ def write_map(
     import rasterio
     from rasterio.windows import Window
 
-    confidence = DEFAULT_CONFIDENCE if confidence is None else confidence
+    spec = read_scene(folder)
+    own = (
+        spec.emissivity
+        if spec.emissivity.source == "learned"
+        else EmissivitySpec("learned", model=EMISSIVITY_MAP, fallback=FALLBACK_MATERIAL)
+    )
+    confidence = own.confidence if confidence is None else confidence
     if not 0.0 <= confidence <= 1.0:
         raise ThermorenderError(f"confidence={confidence:g} is not allowed; give a number 0…1")
-    spec = read_scene(folder)
+    fallback = fallback or own.fallback or FALLBACK_MATERIAL
     picture = orthophoto_of(spec)
     valid, grid = picture.valid, picture.grid
     library = material_tables.load_library(spec.folder / "materials" if (spec.folder / "materials").is_dir() else None)
     material_tables.find(library, fallback, "--fallback")
-    own = spec.emissivity if spec.emissivity.source == "learned" else EmissivitySpec("learned")
-    source = replace(own, model=model, fallback=fallback, without=tuple(without))
+    # Stated shares are of the scene's own map.
+    shares = own.shares if model in (None, own.model) else {}
+    source = replace(own, model=model or own.model, fallback=fallback, shares=shares,
+                     without=tuple(dict.fromkeys([*own.without, *without])))  # fmt: skip
     emissivity_map, notes = model_of(source, library, str(spec.folder / "scene.toml"), _no_snow(spec, picture.frame))
     context = context_of(source, picture.height, picture.height_grid, grid, picture.texel_m)
     materials = [*emissivity_map.materials, *(context.known.beyond(emissivity_map.materials) if context.known else ())]

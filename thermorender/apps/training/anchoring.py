@@ -20,6 +20,8 @@ from thermorender.trajectory.tables import rows_of
 from thermorender.units import kelvin
 
 _COLUMNS = ("column", "row", "kelvin")
+# Warmest temperature that results hold [K].
+MOST_K = 65535 * TLINEAR_STEP_K
 # Most pictures that the level of a map is taken from, evenly spaced.
 _MOST = 20
 _WANTED = "give air=KELVIN, such as air=288.2, or a .csv with the columns column, row, kelvin"
@@ -35,15 +37,20 @@ def anchor_of(
             air_k = float(value.strip().removesuffix("K"))
         except ValueError:
             raise ThermorenderError(f"anchor={text!r}: {value!r} is not a number; {_WANTED}") from None
-        air_k = kelvin(f"anchor={text!r}: air", air_k)
+        air_k = _written(f"anchor={text!r}: air", kelvin(f"anchor={text!r}: air", air_k))
         # Refused before pictures are read.
         anchored_to_air(model, air_k, air_k, 0.0)
         sources = sources_of(paths)
         some = [sources[k] for k in np.unique(np.linspace(0, len(sources) - 1, min(_MOST, len(sources))).astype(int))]
-        maps = [_mapped(each, model, texel_m) for each in some]
+        maps = [found for found in (_mapped_if_readable(each, model, texel_m) for each in some) if found is not None]
+        if not any(found.any() for found in maps):
+            raise ThermorenderError(
+                f"anchor={text!r}: none of the {len(some)} pictures that were tried has a pixel with a temperature; "
+                "give opaque pictures that can be read"
+            )
         return anchored_to_air(model, air_k, float(np.concatenate([each[each > 0.0] for each in maps]).mean()),
                                _spread(maps))  # fmt: skip
-    if not text.endswith(".csv"):
+    if not text.lower().endswith(".csv"):
         raise ThermorenderError(f"anchor={text!r} is not known; {_WANTED}")
     return _known_anchor(Path(text), model, sources_of(paths), texel_m)
 
@@ -66,6 +73,21 @@ def _known_anchor(path: Path, model: TemperatureMap, sources: Sequence[Path], te
             known.append(value)
         maps.append(found)
     return anchored_to_known(model, np.array(known), np.array(mapped), _spread(maps))
+
+
+def _written(where: str, value: float) -> float:
+    """A temperature [K] that results can hold."""
+    if not value <= MOST_K:
+        raise ThermorenderError(f"{where}={value:g} is not allowed; give at most {MOST_K:g} K, which files hold")
+    return value
+
+
+def _mapped_if_readable(source: Path, model: TemperatureMap, texel_m: float | None) -> np.ndarray | None:
+    """As `_mapped`, or None for a file that cannot be read, which `translate` names."""
+    try:
+        return _mapped(source, model, texel_m)
+    except ThermorenderError:
+        return None
 
 
 def _mapped(source: Path, model: TemperatureMap, texel_m: float | None) -> np.ndarray:
@@ -104,8 +126,12 @@ def _by_picture(path: Path, sources: Sequence[Path]) -> dict[Path, list[tuple[st
                 numbers.append(np.nan)
             if not np.isfinite(numbers[-1]):
                 raise ThermorenderError(f"{where}: {column}={row[column]!r} is not allowed; give a number")
-        known_k = kelvin(f"{where}: kelvin", numbers[2])
-        found.setdefault(names[name], []).append((where, (int(numbers[0] // 1), int(numbers[1] // 1), known_k)))
+        known_k = _written(f"{where}: kelvin", kelvin(f"{where}: kelvin", numbers[2]))
+        across, down = (int(np.clip(each, -1.0, 2.0**31) // 1) for each in numbers[:2])
+        before = found.setdefault(names[name], [])
+        if any(place[:2] == (across, down) for _, place in before):
+            raise ThermorenderError(f"{where}: column={across}, row={down} is stated twice; give each pixel once")
+        before.append((where, (across, down, known_k)))
     return found
 
 

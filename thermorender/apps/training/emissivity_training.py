@@ -195,7 +195,8 @@ def fitted_spread(
         for found, truth, std, least in zip(ratios, (group_mean, emissivity), deviations, _LEAST_STD, strict=True):
             ratio = np.abs(mean - truth[label]) / np.hypot(std, least)
             found.append(float(np.quantile(ratio, _WITHIN_ONE)))
-    factors = [float(np.exp(np.mean(np.log(np.maximum(each, 1e-3))))) if each else 1.0 for each in ratios]
+    # No few lands show that a map is more than ten times surer, or less sure, than it says.
+    factors = [float(np.exp(np.mean(np.log(np.clip(each, 0.1, 10.0))))) if each else 1.0 for each in ratios]
     return factors[0], factors[1]
 
 

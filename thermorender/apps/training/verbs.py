@@ -376,6 +376,10 @@ def translate(
     typer.echo(f"{', '.join(counted)}, in {output}")
     if line is not None:
         typer.echo(f"anchor: temperatures are {line.span:.2f} times those of the map {line.offset_k:+.1f} K")
+        if line.span == 0.0:
+            typer.echo(
+                "warning: the known temperatures do not rise with the map's, so every pixel is their mean", err=True
+            )
     for sentence in summary["notes"]:
         typer.echo(sentence)
     if summary["failed"]:

@@ -18,6 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.materials.mixture import MATERIAL_STD
+
 
 @dataclass(frozen=True)
 class Group:
@@ -47,20 +49,14 @@ GROUPS = {
 }  # fmt: skip
 
 
-_MATERIAL_STD = 0.010
-
-
 def group_of(material: str) -> str:
     """Return the group of a material; one that no group lists is a group of its own."""
     return next((name for name, group in GROUPS.items() if material in group.shares), material)
 
 
 def mean_std_of(group: str) -> float:
-    """Return the uncertainty of a group's mean emissivity, and of a material's that is a group of its own.
-
-    One material differs between places about as much as its samples, for most by 0.006 to 0.016.
-    """
-    return GROUPS[group].mean_std if group in GROUPS else _MATERIAL_STD
+    """Return the uncertainty of a group's mean emissivity, and of a material's that is a group of its own."""
+    return GROUPS[group].mean_std if group in GROUPS else MATERIAL_STD
 
 
 def shares_of(materials: Sequence[str]) -> tuple[float, ...]:

@@ -88,7 +88,9 @@ class EmissivityMap:
         """
         mean, between, within, unsure = self.spreads(probability, emissivity)
         of_mean, of_texel = self.spread
-        return mean, np.hypot(of_mean * between, unsure), np.hypot(of_texel * within, unsure)
+        mean_std = np.hypot(of_mean * between, unsure)
+        # A texel varies at least as much as the mean that it is a part of.
+        return mean, mean_std, np.maximum(np.hypot(of_texel * within, unsure), mean_std)
 
     def spreads(self, probability: np.ndarray, emissivity: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return (mean, standard deviation between groups, between materials, uncertainty of groups' means), (…) each.
@@ -171,7 +173,7 @@ class EmissivityMap:
             if material not in self.materials:
                 raise ThermorenderError(
                     f"emissivity map {self.name!r} does not have the material {material!r} {why}; it has "
-                    f"{', '.join(self.materials)}"
+                    f"{', '.join(self.materials)} besides those left out"
                 )
 
     def __str__(self) -> str:
@@ -414,8 +416,15 @@ def _check(model: EmissivityMap) -> None:
         fits &= shapes == list(zip(widths[:-1], widths[1:], strict=True))
         fits &= bool(layers) and min(model.outputs) >= 0 and max(model.outputs) < widths[-1]
     fits &= model.mean.shape == model.scale.shape == (len(NAMES),) and model.centres.shape[1:] == (len(NEAR),)
+    if len(set(model.materials)) < len(model.materials):
+        raise ValueError("it names a material twice")
     of_materials = (model.groups, model.share, model.own, model.outputs)
     fits &= all(len(each) == len(model.materials) for each in of_materials)
-    fits &= all(0.0 <= value <= 1.0 for value in (*model.share, *model.own)) and min(model.spread) > 0.0
+    fits &= all(0.0 <= value <= 1.0 for value in (*model.share, *model.own)) and len(model.centres) > 0
+    fits &= all(0.01 <= factor <= 100.0 for factor in model.spread) and len(set(model.outputs)) == len(model.outputs)
+    total = dict.fromkeys(model.groups, 0.0)
+    for group, share in zip(model.groups, model.share, strict=fits):
+        total[group] += share
+    fits &= min(total.values(), default=0.0) > 0.0
     if not (fits and (model.scale > 0.0).all() and model.texel_m > 0.0 and model.threshold > 0.0):
         raise ValueError("its arrays do not fit each other")
