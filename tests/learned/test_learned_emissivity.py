@@ -26,7 +26,7 @@ from thermorender.learned.emissivity.mapping import EmissivityMap, load_map, map
 from thermorender.learned.pixel_features import lab
 from thermorender.materials.library import load_library
 from thermorender.materials.material import grey
-from thermorender.materials.mixture import Mixture, largest_part, mix, palette, parts_of
+from thermorender.materials.mixture import Mixture, largest_part, mix, palette, parts_of, uncertainties
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.render.pixels.budget import emissivity_mk
 from thermorender.scene.material_map import UNKNOWN_CLASS, Picture, learned_materials, write_map
@@ -315,7 +315,9 @@ def test_more_materials_than_a_class_raster_can_hold_are_refused(model, tmp_path
         train(pictures, 0.5, "many", lambda name: 0.9)
 
 
-@pytest.mark.parametrize("damage", ["cut", "pickle", "text", "shape", "nan"])
+@pytest.mark.parametrize(
+    "damage", ["cut", "pickle", "text", "shape", "nan", "twice", "no centres", "outputs", "spread"]
+)
 def test_file_that_is_not_a_map_is_refused(model, tmp_path, damage):
     path = tmp_path / "m.npz"
     save_map(model, path)
@@ -325,6 +327,14 @@ def test_file_that_is_not_a_map_is_refused(model, tmp_path, damage):
         np.savez(path, head=np.array({"format": 1}, dtype=object))
     elif damage == "text":
         path.write_text("hello")
+    elif damage == "twice":
+        save_map(replace(model, materials=("grass_green",) * 3), path)
+    elif damage == "no centres":
+        save_map(replace(model, centres=model.centres[:0]), path)
+    elif damage == "outputs":
+        save_map(replace(model, outputs=(0, 0, 0)), path)
+    elif damage == "spread":
+        save_map(replace(model, spread=(1.0, 1e30)), path)
     elif damage == "shape":
         save_map(replace(model, materials=("grass_green",)), path)
     else:
@@ -444,6 +454,36 @@ def test_a_map_averages_the_uncertainties_that_its_mixtures_state(model):
     spread = 1.3 * np.sqrt(probability @ ((value - mean) ** 2 + np.square(samples)))
     whole = np.hypot(spread, unsure)
     assert mixed.band_emissivity_std(*band) == pytest.approx(whole, rel=1e-4) and std < whole
+
+
+def test_a_texel_is_at_least_as_uncertain_as_the_mean_and_certain_ground_differs_between_places(model):
+    library = load_library()
+    names = ("granite", "soil_loam", "roof_slate")
+    own = replace(
+        model, materials=names, groups=tuple(map(group_of, names)), share=shares_of(names), own=(0.2,) * 3, outputs=(),
+        networks=(((np.zeros((len(NAMES), 3), np.float32), np.zeros(3, np.float32)),),), spread=(3.0, 0.2),
+    )  # fmt: skip
+    probability, band = np.array([0.1, 0.5, 0.4]), (7.5, 13.5, 300.0)
+    mixed = mix(
+        [(library["granite"], 1.0)], [(library[n], p) for n, p in zip(names, probability, strict=True)],
+        own.doubt(names),
+    )  # fmt: skip
+    texel, mean = uncertainties(mixed, *band)
+    assert texel == mean > 0.03
+    value = np.array([float(library[name].band_emissivity(*band)) for name in names])
+    assert own.moments(probability, value)[1:] == pytest.approx((mean, mean), rel=1e-4)
+    # One sample, and several.
+    assert uncertainties(library["gold_polished"], *band) == (0.010, 0.010)
+    assert uncertainties(library["broadleaf"], *band) == (library["broadleaf"].band_emissivity_std(*band), 0.010)
+
+
+def test_unknown_ground_has_both_uncertainties_in_the_budget(scene):
+    learned_source(scene, 'model = "own.npz"\nfallback = "granite"\nconfidence = 0.999\n')
+    frame = tr.Renderer(tr.load_scene(scene), rays=4, samples=4).frame(straight_down(60.0))
+    ground = np.isfinite(frame.truth["kinetic_temperature"])
+    for name in ("emissivity_std", "emissivity_mean_std"):
+        assert (frame.truth[name][ground] > 0.0).all(), name
+    assert frame.budget_mk["emissivity"] >= frame.budget_mk["emissivity_mean"] > 0.0
 
 
 def test_spread_is_fitted_to_maps_that_are_too_sure(model):
@@ -762,6 +802,15 @@ def test_map_materials_output_can_be_used_in_a_scene(scene, tmp_path, model):
     assert (names == np.array([*model.materials, "granite"])[np.where(sure, classes.astype(int) - 1, 3)]).all()
     # Unknown texels are not used as labels.
     assert (labelled_scene(scene).material[~sure] == 0).all()
+
+
+def test_map_materials_takes_what_the_scene_states(scene, tmp_path):
+    learned_source(scene, 'model = "own.npz"\nfallback = "snow"\nwithout = ["asphalt"]\nconfidence = 0.98\n')
+    (tmp_path / "out").mkdir()
+    written, shares, _ = write_map(scene, tmp_path / "out")
+    assert "asphalt" not in shares and shares["unknown"] > 0.01
+    table = written["emissivity"].read_text(encoding="utf-8")
+    assert '255 = "snow"' in table and '"sand_quartz"' in table
 
 
 def polygons(path, shapes, crs="urn:ogc:def:crs:EPSG::32634", key="material"):

@@ -576,7 +576,7 @@ def test_labels_train_a_map_and_cancel_ends_the_training(browser, tmp_path):
     colour = np.where((columns < 64)[..., None], (60, 120, 50), (200, 180, 140)) + random.integers(-8, 9, (128, 128, 3))
     classes = np.where(columns < 64, 1, 2)
     folder = write_terrain(tmp_path / "halves", height=np.zeros((64, 64)), classes=classes, colour=colour)
-    with served(folder, "from thermorender.apps.training import emissivity_training as t; t._EPOCHS = 12") as address:
+    with served(folder, "from thermorender.apps.training import emissivity_training as t; t._STEPS = 1500") as address:
         page = Page(browser, address)
         page.show_map()
         page.page.get_by_role("button", name="Label", exact=True).click()
