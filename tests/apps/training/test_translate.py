@@ -427,6 +427,17 @@ def test_anchor_does_not_widen_the_span_and_is_one_for_all_pictures(tmp_path):
     assert found.span == 1.0 and found.offset_k == pytest.approx(285.5 - np.mean(exact), abs=0.01)
 
 
+def test_anchor_takes_the_pictures_that_can_be_read_and_needs_one_with_temperatures(tmp_path):
+    model = replace(ONE, level=LEVEL)
+    write(tmp_path / "good.png", photograph())
+    alone = anchor_of("air=280.5", model, [tmp_path])
+    (tmp_path / "junk.png").write_bytes(b"no picture")
+    assert anchor_of("air=280.5", model, [tmp_path]) == alone
+    clear = np.dstack([photograph(), np.zeros((40, 50), np.uint8)])
+    with pytest.raises(ThermorenderError, match="none of the 1 pictures that were tried has a pixel with a temperat"):
+        anchor_of("air=280.5", model, [write(tmp_path / "clear.png", clear)])
+
+
 @pytest.mark.parametrize("level", [LEVEL, None])
 def test_one_known_temperature_sets_the_level(tmp_path, level):
     """Where the contrast of the training is unknown, the map's stays."""
@@ -486,6 +497,9 @@ def test_known_temperatures_of_a_video_are_those_of_its_first_frame(tmp_path):
         ("air=15", None, "air=15 is below"),
         ("air=warm", None, "'warm' is not a number; give air=KELVIN"),
         ("water=290", None, "anchor='water=290' is not known; give air=KELVIN"),
+        ("air=2882", None, "air=2882 is not allowed; give at most 350 K"),
+        ("{}", "column,row,kelvin\n1,2,99999\n", "kelvin=99999 is not allowed; give at most 2621.4 K"),
+        ("{}", "column,row,kelvin\n1,2,290\n1,2,300\n", "column=1, row=2 is stated twice; give each pixel once"),
         ("{}", "column,row\n1,2\n", "has the columns column, row; give column, row, kelvin"),
         ("{}", "column,row,kelvin\n50,2,290\n", "column=50, row=2 is outside of a.png; give 0…49 and 0…39"),
         ("{}", "column,row,kelvin\n-1,2,290\n", "column=-1, row=2 is outside of a.png"),

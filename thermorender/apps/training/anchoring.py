@@ -20,8 +20,8 @@ from thermorender.trajectory.tables import rows_of
 from thermorender.units import kelvin
 
 _COLUMNS = ("column", "row", "kelvin")
-# Warmest temperature that results hold [K].
-MOST_K = 65535 * TLINEAR_STEP_K
+# Warmest temperature that results hold, and warmest air [K].
+_MOST_K, _WARMEST_AIR_K = 65535 * TLINEAR_STEP_K, 350.0
 # Most pictures that the level of a map is taken from, evenly spaced.
 _MOST = 20
 _WANTED = "give air=KELVIN, such as air=288.2, or a .csv with the columns column, row, kelvin"
@@ -37,7 +37,7 @@ def anchor_of(
             air_k = float(value.strip().removesuffix("K"))
         except ValueError:
             raise ThermorenderError(f"anchor={text!r}: {value!r} is not a number; {_WANTED}") from None
-        air_k = _written(f"anchor={text!r}: air", kelvin(f"anchor={text!r}: air", air_k))
+        air_k = _at_most(_WARMEST_AIR_K, f"anchor={text!r}: air", kelvin(f"anchor={text!r}: air", air_k))
         # Refused before pictures are read.
         anchored_to_air(model, air_k, air_k, 0.0)
         sources = sources_of(paths)
@@ -75,10 +75,10 @@ def _known_anchor(path: Path, model: TemperatureMap, sources: Sequence[Path], te
     return anchored_to_known(model, np.array(known), np.array(mapped), _spread(maps))
 
 
-def _written(where: str, value: float) -> float:
-    """A temperature [K] that results can hold."""
-    if not value <= MOST_K:
-        raise ThermorenderError(f"{where}={value:g} is not allowed; give at most {MOST_K:g} K, which files hold")
+def _at_most(most_k: float, where: str, value: float) -> float:
+    """A temperature [K] that is no typing error and that results can hold."""
+    if not value <= most_k:
+        raise ThermorenderError(f"{where}={value:g} is not allowed; give at most {most_k:g} K")
     return value
 
 
@@ -126,7 +126,7 @@ def _by_picture(path: Path, sources: Sequence[Path]) -> dict[Path, list[tuple[st
                 numbers.append(np.nan)
             if not np.isfinite(numbers[-1]):
                 raise ThermorenderError(f"{where}: {column}={row[column]!r} is not allowed; give a number")
-        known_k = _written(f"{where}: kelvin", kelvin(f"{where}: kelvin", numbers[2]))
+        known_k = _at_most(_MOST_K, f"{where}: kelvin", kelvin(f"{where}: kelvin", numbers[2]))
         across, down = (int(np.clip(each, -1.0, 2.0**31) // 1) for each in numbers[:2])
         before = found.setdefault(names[name], [])
         if any(place[:2] == (across, down) for _, place in before):
