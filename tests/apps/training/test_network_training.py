@@ -530,6 +530,8 @@ def test_the_verb_trains_and_resumes(tmp_path, call):
     assert status == 0 and "n " in out, err
     status, _, err = call(*at_best, "--resume")
     assert status == 2 and "--resume trains on and --best does not" in err
+    status, _, err = call("train", "unet", *at_best[2:])
+    assert status == 2 and "holds a training of 'compact', not 'unet'; give its method" in err
     status, _, err = call("train", "trees", tmp_path / "d", "--resume", "-o", tmp_path / "n.npz")
     assert status == 2 and "--run, --resume and --best belong to networks, and 'trees' is not one" in err
 

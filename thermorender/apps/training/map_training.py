@@ -59,6 +59,10 @@ def train_map(
     if best:
         assert run is not None
         settings = read_settings(run)
+        if settings["method"] != method_name:
+            raise ThermorenderError(
+                f"--run={str(run)!r} holds a training of {settings['method']!r}, not {method_name!r}; give its method"
+            )
         options, seed = {**settings["options"], **(options or {})}, settings["seed"]
     options = checked_options(method_name, how.options, options or {})
     if material:

@@ -61,7 +61,7 @@ def read_settings(folder: PathLike) -> dict[str, Any]:
         if not isinstance(found, dict) or not all(isinstance(found.get(key), kind) for key, kind in _KINDS.items()):
             raise ValueError
         numbers = [found["options"].get("width"), found["options"].get("batch"), *found["examples"][:1]]
-        if len(numbers) < 3 or not all(isinstance(each, int) for each in numbers):
+        if len(numbers) < 3 or not all(isinstance(each, int) for each in numbers) or found["seed"] < 0:
             raise ValueError
     except ValueError:
         raise ThermorenderError(
