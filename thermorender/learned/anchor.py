@@ -4,7 +4,7 @@ Level and span of a map of colour are those of its training. A MapAnchor is a li
 the one that is stated: T = offset + span × T_map.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,6 +22,7 @@ class MapAnchor:
 
     offset_k: float = 0.0
     span: float = 1.0
+    stated: str = field(default="", compare=False)  # The text that it was made of, for the record
 
     def kelvin(self, mapped: np.ndarray) -> np.ndarray:
         """Return stated temperatures of a map's [K]."""

@@ -412,6 +412,7 @@ def test_anchor_to_the_air_gives_the_ground_the_distance_from_it_that_it_had_in_
     offset = 285.5 - span * plain.mean()
     assert f"anchor: temperatures are {span:.2f} times those of the map {offset:+.1f} K" in output
     record = json.loads((tmp_path / "anchored" / "translate.json").read_text())
+    assert record["anchor"].pop("stated") == option
     assert record["anchor"] == pytest.approx({"offset_k": offset, "span": span}, rel=1e-3)
     # The 8-bit picture has the map's range from black to white, which is moved too.
     assert np.abs(shown(tmp_path / "plain" / "a.png").astype(int) - shown(tmp_path / "anchored" / "a.png")).max() <= 3
@@ -425,6 +426,20 @@ def test_anchor_does_not_widen_the_span_and_is_one_for_all_pictures(tmp_path):
              for seed in (0, 1)]  # fmt: skip
     found = anchor_of("air=280.5", replace(ONE, level=level), [tmp_path])
     assert found.span == 1.0 and found.offset_k == pytest.approx(285.5 - np.mean(exact), abs=0.01)
+
+
+def test_pictures_that_come_later_are_translated_with_the_line_of_the_first(tmp_path, call):
+    (tmp_path / "p").mkdir()
+    write(tmp_path / "p" / "0.png", photograph())
+    begun = ("translate", "procedural-9to1", tmp_path / "p", "-o", tmp_path / "out", "--anchor", "air=288.2")
+    assert call(*begun)[0] == 0
+    record = (tmp_path / "out" / "translate.json").read_bytes()
+    write(tmp_path / "p" / "1.png", 255 - photograph(seed=1))
+    status, output, errors = call(*begun, "--resume")
+    assert status == 0 and "1 translated, 1 done before" in output, errors
+    assert (tmp_path / "out" / "translate.json").read_bytes() == record
+    status, _, errors = call(*begun[:-1], "air=290", "--resume")
+    assert status == 2 and "with another anchor" in errors
 
 
 def test_anchor_takes_the_pictures_that_can_be_read_and_needs_one_with_temperatures(tmp_path):

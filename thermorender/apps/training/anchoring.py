@@ -6,12 +6,13 @@ pictures, so these should be of one hour and weather, and without sky. Of a vide
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from thermorender import files
-from thermorender.apps.training.translate import VIDEOS, Translation, read_picture, sources_of
+from thermorender import files, formats
+from thermorender.apps.training.translate import RECORD, VIDEOS, Translation, read_picture, sources_of
 from thermorender.errors import ThermorenderError
 from thermorender.learned.anchor import MapAnchor, anchored_to_air, anchored_to_known
 from thermorender.learned.temperature_map import TemperatureMap
@@ -28,9 +29,20 @@ _WANTED = "give air=KELVIN, such as air=288.2, or a .csv with the columns column
 
 
 def anchor_of(
-    text: str, model: TemperatureMap, paths: Sequence[files.PathLike], texel_m: float | None = None
+    text: str, model: TemperatureMap, paths: Sequence[files.PathLike], texel_m: float | None = None,
+    begun: Path | None = None,
+) -> MapAnchor:  # fmt: skip
+    """Return the MapAnchor of a text for pictures and videos, or folders of them, as `translate` takes them.
+
+    `begun` is the folder of a translation that is continued: further pictures do not change the line of its air.
+    """
+    return replace(_of_text(text, model, paths, texel_m, begun), stated=text)
+
+
+def _of_text(
+    text: str, model: TemperatureMap, paths: Sequence[files.PathLike], texel_m: float | None, begun: Path | None
 ) -> MapAnchor:
-    """Return the MapAnchor of a text for pictures and videos, or folders of them, as `translate` takes them."""
+    """The MapAnchor of a text, without it."""
     name, equals, value = text.partition("=")
     if equals and name.strip() == "air":
         try:
@@ -40,6 +52,8 @@ def anchor_of(
         air_k = _at_most(_WARMEST_AIR_K, f"anchor={text!r}: air", kelvin(f"anchor={text!r}: air", air_k))
         # Refused before pictures are read.
         anchored_to_air(model, air_k, air_k, 0.0)
+        if begun is not None and (before := _recorded(begun, text)) is not None:
+            return before
         sources = sources_of(paths)
         some = [sources[k] for k in np.unique(np.linspace(0, len(sources) - 1, min(_MOST, len(sources))).astype(int))]
         maps = [found for found in (_mapped_if_readable(each, model, texel_m) for each in some) if found is not None]
@@ -73,6 +87,16 @@ def _known_anchor(path: Path, model: TemperatureMap, sources: Sequence[Path], te
             known.append(value)
         maps.append(found)
     return anchored_to_known(model, np.array(known), np.array(mapped), _spread(maps))
+
+
+def _recorded(folder: Path, text: str) -> MapAnchor | None:
+    """The MapAnchor of a text in the record of a translation; None without one."""
+    try:
+        record = formats.finite_json((folder / RECORD).read_text(encoding="utf-8"))["anchor"]
+        return MapAnchor(float(record["offset_k"]), float(record["span"])) if record["stated"] == text else None
+    # Whatever stands there instead is refused where the settings are compared.
+    except (OSError, ValueError, KeyError, TypeError, ThermorenderError):
+        return None
 
 
 def _at_most(most_k: float, where: str, value: float) -> float:

@@ -361,7 +361,7 @@ def translate(
     limits = parse_numbers("--range-c", range_c, ("COLD", "WARM")) if range_c else None
     with progress() as report:
         chosen = load_model(model, limits)
-        line = None if anchor is None else anchor_of(anchor, chosen, images, texel_m)
+        line = None if anchor is None else anchor_of(anchor, chosen, images, texel_m, output if resume else None)
         summary = run(chosen, images, output, texel_m, palette, frames, resume, report, line)
         seen = search_in_files(chosen, images, lambda share: report("audit", share)) if audit else None
     for sentence in summary["warnings"]:
