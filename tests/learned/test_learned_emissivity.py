@@ -575,6 +575,26 @@ def test_four_polygons_adapt_a_map_to_other_colours(model):
         adapted(model, replace(picture, material=one), "one", EMISSIVITY)
 
 
+def test_a_map_of_a_scene_with_one_material_and_another_is_updated(model):
+    """A network that saw one material has the layers of the others."""
+    rgb, number = striped(1)
+    names = dict(enumerate(STRIPES, 1))
+    pictures = [
+        Labelled(rgb, number, names, 0.5, "all"),
+        Labelled(rgb, np.uint8(number == 2), {1: "asphalt"}, 0.5, "one"),
+    ]
+    both = train(pictures, 0.5, "both", EMISSIVITY)[0]
+    only = both.networks[1]
+    assert [weight.shape for weight, _ in only] == [weight.shape for weight, _ in both.networks[0]]
+    value = replace(both, networks=(only,)).probabilities(features(rgb).reshape(-1, len(NAMES)))[0]
+    assert value[:, both.materials.index("asphalt")].min() > 1.0 - 1e-6
+    rows, columns = np.indices(number.shape)
+    squares = np.where((rows % 48 < 16) & (columns % 24 < 16), number, 0).astype(np.uint8)
+    new = adapted(both, Labelled(rgb, squares, names, 0.5, "squares"), "new", EMISSIVITY)
+    found = np.array(new.materials)[map_materials(new, rgb, 0.5).index[..., 0]]
+    assert (found == np.array(list(STRIPES))[number - 1]).mean() > 0.95
+
+
 def test_many_polygons_share_the_texels_of_an_update(model, monkeypatch):
     rgb, number = striped(5)
     rows, columns = np.indices(number.shape)
@@ -811,6 +831,11 @@ def test_map_materials_takes_what_the_scene_states(scene, tmp_path):
     assert "asphalt" not in shares and shares["unknown"] > 0.01
     table = written["emissivity"].read_text(encoding="utf-8")
     assert '255 = "snow"' in table and '"sand_quartz"' in table
+    # Another map may lack what the scene says of its own.
+    learned_source(scene, 'model = "own.npz"\nfallback = "snow"\nwithout = ["sand_quartz"]\n')
+    save_map(load_map(scene / "own.npz").without(["sand_quartz"]), tmp_path / "other.npz")
+    (tmp_path / "other").mkdir()
+    assert "asphalt" in write_map(scene, tmp_path / "other", str(tmp_path / "other.npz"))[1]
 
 
 def polygons(path, shapes, crs="urn:ogc:def:crs:EPSG::32634", key="material"):

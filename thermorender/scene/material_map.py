@@ -277,10 +277,10 @@ def write_map(
     valid, grid = picture.valid, picture.grid
     library = material_tables.load_library(spec.folder / "materials" if (spec.folder / "materials").is_dir() else None)
     material_tables.find(library, fallback, "--fallback")
-    # Stated shares are of the scene's own map.
-    shares = own.shares if model in (None, own.model) else {}
-    source = replace(own, model=model or own.model, fallback=fallback, shares=shares,
-                     without=tuple(dict.fromkeys([*own.without, *without])))  # fmt: skip
+    if model not in (None, own.model):
+        # What the scene states on materials is of its own map.
+        own = replace(own, model=model, shares={}, without=(), present=())
+    source = replace(own, fallback=fallback, without=tuple(dict.fromkeys([*own.without, *without])))
     emissivity_map, notes = model_of(source, library, str(spec.folder / "scene.toml"), _no_snow(spec, picture.frame))
     context = context_of(source, picture.height, picture.height_grid, grid, picture.texel_m)
     materials = [*emissivity_map.materials, *(context.known.beyond(emissivity_map.materials) if context.known else ())]

@@ -11,6 +11,7 @@ import pytest
 
 from thermorender.apps.training import translate as module
 from thermorender.apps.training.anchoring import anchor_of
+from thermorender.apps.training.training_pictures import search_in_files
 from thermorender.apps.training.translate import Translation, read_picture, translate
 from thermorender.errors import ThermorenderError
 from thermorender.learned.anchor import MapAnchor, anchored_to_known
@@ -209,6 +210,11 @@ def test_a_video_whose_name_is_not_unicode_is_reported(tmp_path):
     video(tmp_path / "a.avi", frames=2).rename(path)
     summary = translate(ONE, [path], tmp_path / "out")
     assert summary["failed"][path].endswith(r"\udcff.avi' is not valid Unicode; rename the video")
+    # OpenCV would abort the process, for an anchor and for a search too.
+    write(tmp_path / "good.png", photograph())
+    model = replace(ONE, level=LEVEL)
+    assert anchor_of("air=280.5", model, [tmp_path]) == anchor_of("air=280.5", model, [tmp_path / "good.png"])
+    assert search_in_files(ONE, [path]).line
 
 
 # --- many files -------------------------------------------------------------------------------------------------

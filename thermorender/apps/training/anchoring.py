@@ -12,7 +12,15 @@ from pathlib import Path
 import numpy as np
 
 from thermorender import files, formats
-from thermorender.apps.training.translate import RECORD, VIDEOS, Translation, read_picture, sources_of
+from thermorender.apps.training.translate import (
+    RECORD,
+    VIDEOS,
+    Translation,
+    UnreadableError,
+    first_frame,
+    read_picture,
+    sources_of,
+)
 from thermorender.errors import ThermorenderError
 from thermorender.learned.anchor import MapAnchor, anchored_to_air, anchored_to_known
 from thermorender.learned.temperature_map import TemperatureMap
@@ -110,13 +118,13 @@ def _mapped_if_readable(source: Path, model: TemperatureMap, texel_m: float | No
     """As `_mapped`, or None for a file that cannot be read, which `translate` names."""
     try:
         return _mapped(source, model, texel_m)
-    except ThermorenderError:
+    except UnreadableError:
         return None
 
 
 def _mapped(source: Path, model: TemperatureMap, texel_m: float | None) -> np.ndarray:
     """Temperatures of a picture by a map, (h, w) float64 [K]; 0 where there is none."""
-    picture, opaque = _first_frame(source) if source.suffix.lower() in VIDEOS else read_picture(source)
+    picture, opaque = (first_frame(source), None) if source.suffix.lower() in VIDEOS else read_picture(source)
     counts, _ = Translation(model, texel_m).translated(picture, opaque)
     return counts * TLINEAR_STEP_K
 
@@ -157,15 +165,3 @@ def _by_picture(path: Path, sources: Sequence[Path]) -> dict[Path, list[tuple[st
             raise ThermorenderError(f"{where}: column={across}, row={down} is stated twice; give each pixel once")
         before.append((where, (across, down, known_k)))
     return found
-
-
-def _first_frame(source: Path) -> tuple[np.ndarray, None]:
-    """The first frame of a video, (h, w, 3) uint8, and None."""
-    import cv2
-
-    reader = cv2.VideoCapture(str(source))
-    whole, image = reader.read()
-    reader.release()
-    if not whole:
-        raise ThermorenderError(f"{source} cannot be read as a video; give a whole MP4 or AVI")
-    return np.ascontiguousarray(image[..., ::-1], np.uint8), None

@@ -8,6 +8,7 @@ out for accuracy; uncertainties are calibrated on domains that the other domains
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -208,16 +209,18 @@ def _network(
     from sklearn.neural_network import MLPClassifier
 
     inside, own = np.unique(truth, return_inverse=True)
+    if len(inside) == 1:
+        # Nothing but this material was seen there; scikit-learn asks for two.
+        only = np.full(count, _NEVER, np.float32)
+        only[inside[0]] = 0.0
+        sizes = [standard.shape[1], *_HIDDEN]
+        first = [(np.zeros(each, np.float32), np.zeros(each[1], np.float32)) for each in pairwise(sizes)]
+        return (*first, (np.zeros((_HIDDEN[-1], count), np.float32), only))
     epochs = max(1, round(_STEPS * _BATCH / len(own)))
     network = MLPClassifier(
         _HIDDEN, alpha=_WEIGHT_DECAY, batch_size=min(_BATCH, len(own)), learning_rate_init=2e-3, max_iter=1,
         warm_start=True, random_state=seed,
     )  # fmt: skip
-    if len(inside) == 1:
-        # Nothing but this material was seen there.
-        only = np.full(count, _NEVER, np.float32)
-        only[inside[0]] = 0.0
-        return ((np.zeros((standard.shape[1], count), np.float32), only),)
     with warnings.catch_warnings():
         # The number of epochs is fixed, so this warning is expected.
         warnings.simplefilter("ignore", ConvergenceWarning)
@@ -226,13 +229,13 @@ def _network(
             network.set_params(learning_rate_init=2e-3 * 0.5 * (1.0 + np.cos(np.pi * epoch / epochs)))
             network.fit(standard, own)
             report("fitting the networks", (number[0] + (epoch + 1) / epochs) / number[1])
-    *first, (weight, bias) = zip(network.coefs_, network.intercepts_, strict=True)
+    *before, (weight, bias) = zip(network.coefs_, network.intercepts_, strict=True)
     if len(inside) == 2:
         # scikit-learn has one logistic output for two classes, which is a softmax over 0 and it.
         weight, bias = np.hstack([0.0 * weight, weight]), np.hstack([0.0 * bias, bias])
     wide, all_biases = np.zeros((len(weight), count)), np.full(count, _NEVER)
     wide[:, inside], all_biases[inside] = weight, bias
-    return tuple((np.float32(w), np.float32(b)) for w, b in (*first, (wide, all_biases)))  # type: ignore[misc]
+    return tuple((np.float32(w), np.float32(b)) for w, b in (*before, (wide, all_biases)))  # type: ignore[misc]
 
 
 def _centres(near: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:

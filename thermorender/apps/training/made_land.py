@@ -41,10 +41,12 @@ class _Canvas:
         self.sun = generator.uniform(0.0, 2.0 * np.pi)
 
     def colour(self, name: str) -> np.ndarray:
+        """Linear colour of a place covered by a material, (3,)."""
         found = colour_of(name, self.random)
         return np.array(_GREEN[name]) * spread(self.random) if found is None else found
 
     def number(self, name: str) -> int:
+        """Number of a material in the picture, from 1."""
         return self.names.setdefault(name, len(self.names) + 1)
 
     def paint(self, here: np.ndarray, name: str, patches: float = 0.1) -> None:
@@ -54,9 +56,11 @@ class _Canvas:
         self.material[here] = self.number(name)
 
     def noise(self, cells: int) -> np.ndarray:
+        """Smooth noise over the land, of normal values on a grid of cells."""
         return smooth(self.random, cells, _SIDE)
 
     def choice(self, *names: str) -> str:
+        """One of some names, each as likely."""
         return names[self.random.integers(len(names))]
 
     def turned(self, angle: float) -> tuple[np.ndarray, np.ndarray]:

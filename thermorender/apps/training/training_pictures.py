@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.apps.training.kept_searches import kept
-from thermorender.apps.training.translate import VIDEOS, UnreadableError, read_picture, sources_of
+from thermorender.apps.training.translate import VIDEOS, UnreadableError, first_frame, read_picture, sources_of
 from thermorender.files import PathLike
 from thermorender.learned.fingerprints import Seen, search
 from thermorender.learned.temperature_map import TemperatureMap
@@ -142,14 +142,9 @@ def search_in_files(
     files = sources_of(paths)
 
     def read(number: int) -> NDArray[np.uint8] | None:
-        import cv2
-
         path = files[number]
-        if path.suffix.lower() in VIDEOS:
-            whole, image = cv2.VideoCapture(str(path)).read()
-            return np.asarray(image[..., ::-1], np.uint8) if whole else None
         try:
-            return read_picture(path)[0]
+            return first_frame(path) if path.suffix.lower() in VIDEOS else read_picture(path)[0]
         except UnreadableError:
             return None
 

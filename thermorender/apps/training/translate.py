@@ -310,10 +310,18 @@ def _picture(how: Translation, source: Path, outputs: Sequence[Path]) -> dict[st
     return {"shape": list(counts.shape), **facts}
 
 
-def _video(
-    how: Translation, source: Path, outputs: Sequence[Path], report_share: Callable[[float], object]
-) -> dict[str, Any]:
-    """Translate a video frame by frame; outputs are its file and, if frames are requested, their folder."""
+def first_frame(source: Path) -> np.ndarray:
+    """Return the first frame of a video, (h, w, 3) uint8; UnreadableError where there is none."""
+    reader = _reader(source)
+    whole, image = reader.read()
+    reader.release()
+    if not whole:
+        raise UnreadableError(f"{source} cannot be read as a video; give a whole MP4 or AVI")
+    return np.ascontiguousarray(image[..., ::-1], np.uint8)
+
+
+def _reader(source: Path) -> Any:
+    """A video's reader of OpenCV."""
     import cv2
 
     try:
@@ -321,7 +329,16 @@ def _video(
     except UnicodeEncodeError:
         # OpenCV would abort the process.
         raise UnreadableError(f"{str(source)!a} is not valid Unicode; rename the video") from None
-    reader = cv2.VideoCapture(str(source))
+    return cv2.VideoCapture(str(source))
+
+
+def _video(
+    how: Translation, source: Path, outputs: Sequence[Path], report_share: Callable[[float], object]
+) -> dict[str, Any]:
+    """Translate a video frame by frame; outputs are its file and, if frames are requested, their folder."""
+    import cv2
+
+    reader = _reader(source)
     with ExitStack() as stack:
         stack.callback(reader.release)
         declared = int(reader.get(cv2.CAP_PROP_FRAME_COUNT))

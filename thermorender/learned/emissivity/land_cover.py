@@ -1,14 +1,14 @@
-"""What lies on the ground: groups of surfaces, each material's share in its group, and the group's mean emissivity.
+"""Land cover: groups of surfaces, the share of each material in its group, and the mean emissivity of the group.
 
-Pictures of other places tell groups (roof, road, vegetation …) far better than the materials within them. A map
-therefore takes most of a material's share within its group from here. Shares follow how common a cover is, not how many
-samples a library has: rock faces cover 1.4 % and moving sand 4.1 % of the land without ice (Reich, Eswaran & Beinroth
-2005, "Global Soil Regions"), and most roofs are tile, shingle, concrete or membrane.
+On pictures of other places, a map distinguishes groups (roof, road, vegetation …) far better than the materials within
+them. It therefore takes most of a material's share in its group from here. Shares follow the area of a cover, not the
+number of its samples in a library. Rock faces cover 1.4 % and moving sand 4.1 % of the ice-free land (Reich, Eswaran &
+Beinroth 2005, "Global Soil Regions"). Most roofs are tile, shingle, concrete or membrane.
 
 A group's `mean_std` is the uncertainty of its mean over 7.5–13.5 µm between climates, from 1030 samples of the
 ECOSTRESS library (Meerdink et al. 2019, doi:10.1016/j.rse.2019.05.015) and SLUM (Kotthaus et al. 2014,
 doi:10.1016/j.isprsjprs.2014.05.005). Bare land is 0.960 ± 0.004 in temperate climates (49 soils 0.961) and
-0.942 ± 0.009 where gravel, rock and sand of inhabited deserts are common; 0.951 ± 0.010 without knowing which.
+0.942 ± 0.009 in inhabited deserts with gravel, rock and sand. Where the climate is unknown, it is 0.951 ± 0.010.
 """
 
 from collections.abc import Sequence
@@ -65,15 +65,14 @@ def shares_of(materials: Sequence[str]) -> tuple[float, ...]:
 
 
 def levelling(groups: Sequence[str], share: Sequence[float], own: Sequence[float]) -> NDArray[np.float32]:
-    """Return the matrix (C, C) that takes probabilities of materials (N, C) to those with shares of the land cover.
+    """Return the matrix (C, C) that multiplies probabilities of materials (N, C) to give them shares of the land cover.
 
-    Within its group, a material has the part `own` (C,) of its own probability; the rest of the group's probability is
-    distributed by `share` (C,).
+    Each material keeps the part `own` (C,) of its probability. The rest is distributed over its group by `share` (C,).
     """
     among = np.array(groups)
     same = among[:, None] == among
     weight = np.asarray(share, np.float64)
     shared = same * weight / np.maximum((same * weight).sum(axis=1, keepdims=True), 1e-12)
-    told = np.asarray(own, np.float64)
-    matrix: NDArray[Any] = np.diag(told) + (1.0 - told)[:, None] * shared
+    kept = np.asarray(own, np.float64)
+    matrix: NDArray[Any] = np.diag(kept) + (1.0 - kept)[:, None] * shared
     return matrix.astype(np.float32)

@@ -148,7 +148,7 @@ class EmissivityMap:
         self._require(stated, "to give a share")
         share = np.array(self.share)
         for group in {self.groups[self.materials.index(name)] for name in stated}:
-            inside = [k for k, own in enumerate(self.groups) if own == group]
+            inside = [k for k, each in enumerate(self.groups) if each == group]
             given = {k: stated[self.materials[k]] for k in inside if self.materials[k] in stated}
             if all(self.own[k] == 1.0 for k in inside):
                 raise ThermorenderError(
@@ -409,7 +409,8 @@ def _check(model: EmissivityMap) -> None:
     """Raise ValueError if arrays do not fit each other or there are too many materials."""
     if not 2 <= len(model.materials) <= MOST_MATERIALS:
         raise ValueError(f"it has {len(model.materials)} materials, not 2…{MOST_MATERIALS}")
-    fits = bool(model.networks)
+    # Last layers are updated together, so they take values of one width.
+    fits = len({layers[-1][0].shape[0] for layers in model.networks if layers}) == 1
     for layers in model.networks:
         widths = [len(NAMES), *(len(bias) for _, bias in layers)]
         shapes = [weight.shape for weight, _ in layers]
