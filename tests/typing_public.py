@@ -35,6 +35,7 @@ def frames() -> None:
     scene.pose(number, np.int64(0), number, roll_deg=number, look_at=place)
     scene.with_temperature(number).with_sky(number, number).with_sun(number, number)
     scene.with_material(roof=number).with_material_in(place, number)
+    assert_type(scene.with_material_at(scene.texels_in("roof.geojson"), "asphalt"), tr.Scene)
     scene.with_objects({"marker": number, "van": {"temperature_k": number}})
     renderer.frame(pose, objects={"marker": {"temperature_k": number}})
     frame = renderer.frame(pose, time_s=0.0, objects={"marker": {"temperature_k": 350.0}})
@@ -86,6 +87,7 @@ def baked_scenes() -> None:
     assert_type(baked.solved_for(tr.load_scene("heath").with_air("tropical")), tr.BakedScene)
     assert_type(baked.preview_for(tr.load_scene("heath").with_material(water=0.9)), tr.BakedScene)
     tr.Renderer(renderer.scene, like=renderer)
+    assert_type(renderer.heat_terms(), dict[str, NDArray[np.float32]] | None)
 
     tr.Renderer.of(renderer.scene)  # type: ignore[arg-type]
     baked.solved_for("heath")  # type: ignore[arg-type]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from heat_support import COLUMNS, DAY, POND, SOIL, forcing, ground, sunny
-from scipy.optimize import fsolve
+from scipy.optimize import brentq, fsolve
 from scipy.special import erf, erfc
 from support import slow
 
@@ -221,12 +221,75 @@ def test_energy_of_a_day_is_conserved(name):
         into += 900.0 * fluxes.into_ground
         turned += 900.0 * abs(fluxes.into_ground)
         gained += 900.0 * fluxes.net_radiation
-        lost += 900.0 * (fluxes.sensible + fluxes.latent)
+        lost += 900.0 * (fluxes.sensible + fluxes.latent + fluxes.rain)
         melt += 900.0 * fluxes.molten
     change = stored(column, state) - start + balance.FUSION * melt
     assert abs(change - into) < 1e-9 * turned
     assert abs(gained - lost - into) < 1e-6 * turned
     assert turned > 1e6
+
+
+@pytest.mark.parametrize("name", COLUMNS)
+def test_the_terms_of_a_step_add_up_to_nothing(name):
+    column, weather = COLUMNS[name]
+    state = balance.at_rest(np, [np.full(1, weather.get("air_k", 290.0))] * len(column.capacity), column)
+    largest = dict.fromkeys(balance.TERMS, 0.0)
+    for number in range(192):
+        stages = [sunny(900.0 * number + offset, **weather) for offset in balance.stage_times(900.0)]
+        state, fluxes = balance.step(np, state, column, *stages, 900.0)
+        found = balance.terms(np, column, *stages, fluxes)
+        # Newton's steps end within 1e-8 K, of some 100 W m⁻² K⁻¹.
+        found = {term: float(np.ravel(value)[0]) for term, value in found.items()}
+        assert abs(sum(found.values())) < 1e-6
+        assert found["sunlight"] >= 0.0 and found["longwave"] > 0.0 > found["emission"] and found["rain"] <= 5.0
+        largest = {term: max(value, abs(found[term])) for term, value in largest.items()}
+    assert (largest["rain"] > 0.1) == ("rain_kg_m2_s" in weather) and largest["conduction"] > 10.0
+    assert (largest["melt"] > 50.0) == ("melts" in name)
+
+
+@pytest.mark.parametrize(("sun", "inner"), [(0.0, 0.0), (0.0, 400.0), (700.0, 0.0), (700.0, 400.0)])
+def test_terms_of_a_steady_sheet_are_those_of_its_equation(sun, inner):
+    """α G + q = ε σ (T⁴ − T_sky⁴) + h (T − T_air) + g (T − T_behind), with what sun and an engine give."""
+    emissivity, film, air, sky, behind = 0.9, 25.0, 285.0, 255.0, 280.0
+    sheet = layered([Slab(1e-3, 60.5, 7854.0 * 434.0)], film=film)
+    column, longwave = ground(sheet, emissivity=emissivity), balance.STEFAN_BOLTZMANN * sky**4
+    act = forcing(absorbed=sun, sunlight=sun, longwave=longwave, air_k=air, below_k=behind, inner_w_m2=inner)
+    # The engine's heat enters the last layer: the resistance above it, and the conductance below it.
+    above, through = sum(1.0 / each for each in sheet.conductance[:-1]), sheet.conductance[-1]
+
+    def conducted(kelvin):
+        return (inner - through * (kelvin - behind)) / (1.0 + through * above)
+
+    def surplus(kelvin):
+        lost = emissivity * (balance.STEFAN_BOLTZMANN * kelvin**4 - longwave)
+        return sun + conducted(kelvin) - lost - turbulence.CALM_W_M2_K * (kelvin - air)
+
+    state = balance.at_rest(np, [np.full(1, air)] * len(column.capacity), column)
+    for _ in range(100):
+        state, fluxes = balance.step(np, state, column, act, act, 3600.0)
+    found, kelvin = balance.terms(np, column, act, act, fluxes), brentq(surplus, 150.0, 900.0, xtol=1e-9)
+    assert above * through < 1e-3
+    expected = dict.fromkeys(balance.TERMS, 0.0) | {
+        "sunlight": sun, "longwave": emissivity * longwave,
+        "emission": -emissivity * balance.STEFAN_BOLTZMANN * kelvin**4,
+        "sensible": -turbulence.CALM_W_M2_K * (kelvin - air), "conduction": conducted(kelvin),
+    }  # fmt: skip
+    for name, value in expected.items():
+        assert float(np.ravel(found[name])[0]) == pytest.approx(value, abs=1e-6), name
+
+
+def test_snow_at_the_melting_point_melts_by_what_it_receives():
+    column, weather = COLUMNS["snow that melts and runs off"]
+    state = balance.at_rest(np, [np.full(1, 273.15)] * len(column.capacity), column)
+    noon = None
+    for number in range(192):
+        stages = [sunny(900.0 * number + offset, **weather) for offset in balance.stage_times(900.0)]
+        state, fluxes = balance.step(np, state, column, *stages, 900.0)
+        if number == 96 + 52:
+            noon = balance.terms(np, column, *stages, fluxes)
+    assert noon is not None and noon["melt"] < -300.0
+    # What the snow exchanges with the ground below it.
+    assert abs(noon["conduction"]) < 0.5
 
 
 @pytest.mark.parametrize("gap", [0.1, 0.4])
@@ -289,8 +352,6 @@ def test_snow_melts_at_the_melting_point_by_the_heat_it_receives():
 @pytest.mark.parametrize(("count", "error"), [(LAYERS, 0.04), *slow((30, 0.012))])
 def test_freezing_of_moist_soil_against_neumann(count, error):
     """Front at 2λ√(at), heat lost 2kΔT√(t/πa)/erf λ, λ e^(λ²) erf λ = cΔT/(√π L): Carslaw & Jaeger (1959), 11.2."""
-    from scipy.optimize import brentq
-
     cut = layered([Slab(np.inf, 1.5, 2.2e6, 0.3)], count=count)
     column = ground(cut, water=list(cut.water))
     colder, diffusivity = 10.0, 1.5 / 2.2e6

@@ -110,11 +110,13 @@ def test_preview_differs_from_the_solution_by_its_stated_error_at_most(renderer,
 
 def test_texels_of_other_faces_have_the_weights_of_the_points_in_a_face(renderer):
     samples, cover = renderer.baked.samples, np.array(renderer.baked.geometry.face_of_texel)
+    mi = renderer.baked.geometry.mi
     start, texels, weights = (np.array(each) for each in samples.others)
     assert len(start) == renderer.baked.geometry.face_count + 1 and start[-1] == len(texels) > 0
     for face in range(0, renderer.baked.geometry.face_count, 7):
-        expected = np.zeros(len(cover))
-        np.add.at(expected, *samples.around(face))
+        expected, points = np.zeros(len(cover)), dr.arange(mi.UInt32, samples.count)
+        for texel, weight in samples.corners(dr.full(mi.UInt32, face, samples.count), points):
+            np.add.at(expected, np.array(texel), np.array(weight) / samples.count)
         expected[cover == face] = 0.0
         found = np.zeros(len(cover))
         found[texels[start[face] : start[face + 1]]] = weights[start[face] : start[face + 1]]

@@ -65,7 +65,7 @@ def test_isothermal_enclosure_adds_up_to_a_blackbody(tmp_path):
         assert each.apparent_k == pytest.approx(300.0, abs=0.01)
 
 
-@slow
+@pytest.mark.slow
 def test_parts_are_those_of_the_path_tracer(tmp_path):
     """Of a grey plane under the sky beside a black wall, each cause of light is one path tracing less the other."""
     scene = plane(tmp_path / "s", side=12).with_material(grass_green=0.7, sand_quartz=0.7)
@@ -124,8 +124,53 @@ def test_a_pixel_outside_the_image_is_refused(tmp_path):
             renderer.parts_at(tr.pose(0, -6, 8, **POSE), pixels)
 
 
-def test_pixel_of_the_sky_shows_background_alone(tmp_path):
-    scene = small(tr.load_scene(write_terrain(tmp_path / "s", sky=250.0)))
-    (sky,) = tr.Renderer(scene, rays=8).parts_at(tr.pose(0, 0, 5, pitch_deg=40.0), [[0, 6]])
-    assert sky.radiance.pop("background") == pytest.approx(band_radiance(250.0, *BAND), rel=1e-6)
-    assert not any(sky.radiance.values()) and sky.material == "" and np.isnan(sky.kinetic_k)
+def test_no_part_is_negative_beside_walls_of_texels_in_other_light(tmp_path):
+    """A level roof sees the sky alone, whatever the walls receive whose texels its faces blend with."""
+    height = np.zeros((24, 24))
+    height[8:15, 7:16] = 3.0
+    write_terrain(tmp_path / "s", height, np.full((48, 48), 300.0), sky=150.0)
+    scene = small(tr.load_scene(tmp_path / "s"), 48, 40).with_material(grass_green=0.5, sand_quartz=0.5)
+    renderer, pose = tr.Renderer(scene, rays=64), tr.pose(0, 0, 20, pitch_deg=-90.0)
+    found, position = every(renderer, pose), renderer.frame(pose).truth["position"]
+    assert min(min(*each.radiance.values(), *each.kelvin.values()) for each in found) >= 0.0
+    roof = [each for each in found if position[each.pixel][2] > 2.99]
+    assert len(roof) > 100 and max(each.radiance["surroundings"] for each in roof) < 1e-5
+    inner = [each for each in roof if np.abs(position[each.pixel][:2] - [-0.5, 0.5]).max() < 2.0]
+    sky = 0.5 * band_radiance(150.0, *BAND)
+    assert len(inner) > 30 and all(each.radiance["sky"] == pytest.approx(sky, rel=1e-4) for each in inner)
+
+
+@pytest.mark.slow
+def test_a_moving_object_takes_the_sun_from_the_ground_in_its_shadow(tmp_path):
+    folder = tmp_path / "s"
+    folder.mkdir()
+    (folder / "t.csv").write_text("time_s,yaw_deg\n0,0\n", encoding="utf-8")
+    plane(folder, track='track = "t.csv"\n')
+    scene = small(tr.load_scene(folder)).with_material(grass_green=0.5, sand_quartz=0.5)
+    scene = scene.with_air("midlatitude-summer").with_sun(45.0, 180.0)
+    renderer, pose = tr.Renderer(scene, rays=64), tr.pose(0, 6, 20, pitch_deg=-90.0)
+    found, position = every(renderer, pose), renderer.frame(pose).truth["position"]
+    ground = [(each, position[each.pixel]) for each in found if each.material and not each.object]
+    # The wall stands 3 to 9 m high, its northern side at 3.5 m north. Faces of 1 m are shaded as a whole or not.
+    shade = [each.radiance["sun"] for each, (x, y, _) in ground if abs(x) < 3.0 and 7.5 < y < 11.5]
+    lit = [each.radiance["sun"] for each, (x, y, _) in ground if abs(x) > 5.5 or y < 5.5]
+    assert len(shade) > 10 and len(lit) > 30 and max(shade) < 1e-9
+    # The warm wall adds to the surroundings, not to the sun.
+    assert min(lit) > 0.06 and max(lit) / min(lit) < 1.01
+
+
+@pytest.mark.parametrize("case", ["plain", "mirror", "track"])
+def test_pixels_beyond_the_scene_show_background_alone(tmp_path, case):
+    """Sky above and the surroundings below the horizon, which are 290 K."""
+    folder = tmp_path / "s"
+    folder.mkdir()
+    (folder / "t.csv").write_text("time_s,yaw_deg\n0,0\n", encoding="utf-8")
+    plane(folder, track='track = "t.csv"\n' if case == "track" else "")
+    scene = small(tr.load_scene(folder)).with_sky(250.0, surroundings=290.0)
+    scene = scene.with_material(grass_green="water_fresnel" if case == "mirror" else 0.9)
+    renderer = tr.Renderer(scene, rays=8)
+    for pitch_deg, kelvin in ((40.0, 250.0), (-15.0, 290.0)):
+        (found,) = renderer.parts_at(tr.pose(0, 13, 2, yaw_deg=0.0, pitch_deg=pitch_deg), [[5, 6]])
+        assert found.radiance.pop("background") == pytest.approx(band_radiance(kelvin, *BAND), rel=1e-6)
+        assert not any(found.radiance.values()) and found.material == found.object == ""
+        assert np.isnan([found.kinetic_k, found.emissivity, found.angle_deg]).all() and np.isinf(found.range_m)

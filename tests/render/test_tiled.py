@@ -510,6 +510,7 @@ def test_what_needs_one_raster_is_refused(tmp_path, monkeypatch, own_cache):
         lambda: tr.TiledRenderer(day), lambda: scene.with_material_in([(0, 0), (5, 0), (5, 5)], "sand_quartz"),
         lambda: renderer.frame(pose, sampled_as=renderer.frame(pose)),
         lambda: renderer.parts_at(pose, [(10, 10)]), lambda: renderer.texels(pose), lambda: renderer.solved_for(scene),
+        renderer.heat_terms,
     ):  # fmt: skip
         with pytest.raises(ThermorenderError, match=r"terrain\.tiles; cut a part out"):
             job()

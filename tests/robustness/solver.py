@@ -13,7 +13,7 @@ from tests.robustness.cases import Found, case
 from thermorender.defaults import BAND_UM
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render.light import radiosity, solver
-from thermorender.render.light.environment import even
+from thermorender.render.light.environment import Sunlight, even
 
 _FACES, _RAYS = 10_000, 32
 _PER_K = float(band_radiance_derivative(300.0, *BAND_UM))
@@ -45,7 +45,9 @@ def known(emissivity):
     light = exact.astype(np.longdouble) * rho
     reflected = np.add.reduceat(operator.data[:, None] * light[operator.indices], operator.indptr[:-1])
     nothing = even(np.zeros(1), np.zeros(1), _FACES)
-    return exact, rho, replace(nothing, direct=(exact - reflected).astype(np.float64))
+    # Light of each face for itself, as a sun of radiance 1 gives it.
+    own = Sunlight(np.array([0.0, 0.0, 1.0]), np.ones(1), (exact - reflected)[:, 0].astype(np.float64))
+    return exact, rho, replace(nothing, sun=own)
 
 
 def solved(emissivity, tolerance_k):

@@ -339,6 +339,12 @@ def test_an_area_paints_the_scene_and_not_far_ground(tmp_path):
     painted = scene.with_material_in([(-4, -4), (4, -4), (4, 4), (-4, 4)], "asphalt")
     assert np.array_equal(painted.surfaces[1].material, scene.surfaces[1].material)
     assert not np.array_equal(painted.surfaces[0].material, scene.surfaces[0].material)
+    # Numbers of texels go on over far ground, which has the colours of its materials without an orthophoto.
+    first = scene.surfaces[0].material.size
+    far, other = scene.with_material_at([first + 5], "asphalt"), scene.surfaces[1]
+    assert np.flatnonzero(far.surfaces[1].material != other.material).tolist() == [5]
+    assert tuple(far.surfaces[1].colour.reshape(-1, 3)[5]) == tuple(far.materials[-1].colour)
+    assert np.array_equal(far.surfaces[0].colour, scene.surfaces[0].colour)
 
 
 def test_an_import_puts_a_wider_model_around_the_scene(tmp_path, call):

@@ -218,6 +218,23 @@ def test_an_edit_of_a_group_of_an_obj_needs_its_name_in_the_scene_file(folder):
 
 
 BALANCE = 'source = "balance"'
+
+
+def test_texels_by_number_are_painted_on_every_surface_without_a_place_on_a_map(folder):
+    before = scene(folder, f'source = "material"\nmaterial = "soil_loam"\n{CLASSES}',
+                   more='[[surface]]\nname = "t.png"\nclasses = "classes.png"\n' + ROOF)  # fmt: skip
+    ground, roof = before.surfaces
+    assert before.class_files == (folder / "classes.png", None)
+    count = ground.material.size
+    painted = before.with_material_at([3, count - 1, count], "snow")
+    found = np.concatenate([names(painted, surface).ravel() for surface in painted.surfaces])
+    wanted = np.concatenate([names(before, surface).ravel() for surface in before.surfaces])
+    wanted[[3, count - 1, count]] = "snow"
+    np.testing.assert_array_equal(found, wanted)
+    assert roof.material.size == 1
+    np.testing.assert_array_equal(painted.surfaces[0].colour, ground.colour)
+
+
 CLASS = 'source = "classes"\n'
 REFUSED = {
     "surface 'tile' is not a node, group, material or texture of the mesh; did you mean 'tiles'? it has m:ground:":

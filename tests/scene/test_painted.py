@@ -93,6 +93,60 @@ def test_later_areas_cover_earlier_ones_and_other_edits_keep_them(scene):
     np.testing.assert_array_equal(covered(turned, "asphalt"), covered(moved, "asphalt"))
 
 
+def test_texels_by_number_get_what_an_area_of_them_gets(scene):
+    texels = scene.texels_in(ROOF)
+    assert texels.dtype == np.int64 and len(texels) == 32 and (np.diff(texels) > 0).all()
+    painted, area = scene.with_material_at(texels[::-1], "asphalt"), scene.with_material_in(ROOF, "asphalt")
+    np.testing.assert_array_equal(covered(painted, "asphalt"), covered(area, "asphalt"))
+    np.testing.assert_array_equal(np.flatnonzero(covered(painted, "asphalt")), texels)
+    # Later edits cover earlier ones of either kind, and other edits keep them.
+    twice = painted.with_material_in(np.add(ROOF, (2.0, 0.0)), "snow").with_material_at(texels[:1], 0.5)
+    assert covered(twice, "asphalt").sum() == 15 and covered(twice, "snow").sum() == 32
+    assert covered(twice.with_sky(240.0).with_material({1: "soil_loam"}), "material").sum() == 1
+
+
+def test_texels_of_a_wall_are_those_that_its_pixels_show(tmp_path):
+    mesh = trimesh.creation.box((4.0, 4.0, 4.0)).subdivide()
+    # Colours of its faces give each a texel.
+    mesh.visual.face_colors = np.random.default_rng(0).integers(0, 255, (len(mesh.faces), 4))
+    box = tr.load_scene(write_mesh(tmp_path / "box", mesh))
+    box = box.with_camera(box.camera.coarser(16))
+    pose = tr.pose(0.0, -8.0, 0.0, pitch_deg=0.0, yaw_deg=0.0)
+    before = tr.Renderer(box, quality="fast")
+    texels = before.texels(pose)
+    east = before.frame(pose).truth["position"][..., 0]
+    painted = box.with_material_at(texels[(texels >= 0) & (east > 0.0)], "steel_galvanised")
+    after = tr.Renderer(painted, quality="fast", like=before).frame(pose)
+    steel = np.array(after.materials)[np.minimum(after.truth["material"], len(after.materials) - 1)]
+    seen = texels >= 0
+    assert ((steel == "steel_galvanised") == (east > 0.0))[seen].all() and 0.2 < (east > 0.0)[seen].mean() < 0.8
+    changed = after.apparent_temperature - before.frame(pose).apparent_temperature
+    assert changed[seen & (east > 0.5)].max() < -3.0
+
+
+@pytest.mark.parametrize(
+    "given", [[], [-1], [1024], [0.0], [True], [[0, 1], [2]], "3", np.array([2**63], np.uint64), None]
+)
+def test_wrong_numbers_of_texels_are_refused_in_one_sentence(scene, given):
+    # A marker stands on the 32 × 32 texels.
+    with pytest.raises(
+        tr.ThermorenderError, match=r"texels=.* is not allowed; give one or more whole numbers 0…1023"
+    ) as e:
+        scene.with_material_at(given, "asphalt")
+    assert "\n" not in str(e.value)
+
+
+def test_texels_without_files_and_wrong_materials_are_refused(scene):
+    with pytest.raises(tr.ThermorenderError, match="with_material_at: material uses material 'aspalt'"):
+        scene.with_material_at([3], "aspalt")
+    made = scene.with_surfaces(scene.surfaces)
+    for edit in (lambda: made.with_material_at([3], 0.5), lambda: made.texels_in(ROOF)):
+        with pytest.raises(
+            tr.ThermorenderError, match="needs a terrain that files describe; edit the scene before with_"
+        ):
+            edit()
+
+
 def test_wrong_areas_are_refused_in_one_sentence(scene, tmp_path):
     box = tr.load_scene(write_mesh(tmp_path / "box", trimesh.creation.box((2.0, 2.0, 2.0))))
     plain = write_polygon(tmp_path / "plain.geojson", scene, ROOF)

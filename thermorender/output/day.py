@@ -144,6 +144,21 @@ def day_frames(
         report(f"frame {index + 1} of {len(times)}", (index + 1) / len(times))
 
 
+def day_temperatures(
+    scene: "Scene", step_min: int = 60, progress: Callable[[str, float], object] | None = None, device: str = "auto"
+) -> "Iterator[tuple[Scene, dict[str, Any]]]":  # fmt: skip
+    """Yield (the scene with its temperatures, row of the table without apparent_mean_k) of each step of the local solar
+    day, without frames; arguments as of `day`."""
+    from thermorender.render.geometry import Geometry
+    from thermorender.render.variant import activate
+
+    times = _times(scene, step_min)
+    scene.refuse_tiles("a day")
+    geometry = Geometry(activate(device), scene.surfaces)
+    for index, solved in enumerate(solved_in_parts(scene, times, geometry, progress or (lambda what, share: None))):
+        yield solved, {"solar_hour": index * step_min / 60.0, **_row(solved)}
+
+
 def _times(scene: "Scene", step_min: int) -> NDArray[np.datetime64]:
     """The instants of the day's frames."""
     if not scene.temperature_state.weather_driven or scene.time is None:
@@ -193,17 +208,18 @@ def _frames(
         yield index, renderer.frame(pose, index=index), solved
 
 
-def _row(scene: "Scene", frame: "Frame") -> dict[str, Any]:
-    """The row of one instant in the day's table, without its hour."""
+def _row(scene: "Scene", frame: "Frame | None" = None) -> dict[str, Any]:
+    """The row of one instant in the day's table, without its hour; without a frame nothing is apparent."""
     time = scene.time
     assert time is not None  # Solved at an instant.
     _, elevation = scene.weather.sun(time)
-    row = {
+    row: dict[str, Any] = {
         "time_utc": utc_text(time),
         "sun_elevation_deg": float(elevation),
         "air_k": float(scene.weather.at(time).air_k),
-        "apparent_mean_k": float(frame.apparent_temperature.mean(dtype=np.float64)),
     }
+    if frame is not None:
+        row["apparent_mean_k"] = float(frame.apparent_temperature.mean(dtype=np.float64))
     terrain = scene.near_ground
     known = [(surface.flags & FILLED) == 0 for surface in terrain]
     material = np.concatenate([one.material[here] for one, here in zip(terrain, known, strict=True)])

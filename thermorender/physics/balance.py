@@ -22,6 +22,8 @@ _LARGEST_STEP_K = 20.0
 # Share of liquid water that snow retains against gravity: Anderson, NOAA Technical Report NWS 19 (1976).
 RETENTION = 0.05
 _ENDLESS = 1e9  # kg m⁻²
+# Names of `terms`, in this order.
+TERMS = ("sunlight", "longwave", "emission", "sensible", "latent", "rain", "conduction", "melt")
 
 
 class ColumnProperties(NamedTuple):
@@ -79,11 +81,12 @@ class State(NamedTuple):
 
 
 class Fluxes(NamedTuple):
-    """Means over a step; net_radiation = sensible + latent + into_ground, up to Newton's residual."""
+    """Means over a step; net_radiation = sensible + latent + rain + into_ground, up to Newton's residual."""
 
     net_radiation: Any  # Absorbed sunlight and long-wave minus emission [W m⁻²]
-    sensible: Any  # Heat given to the air and to rain [W m⁻²]
+    sensible: Any  # Heat given to the air [W m⁻²]
     latent: Any  # Heat of evaporation [W m⁻²]; negative for dew and frost
+    rain: Any  # Heat given to rain, which arrives as warm as the air [W m⁻²]
     into_ground: Any  # Heat gained by the layers through the surface and by absorbed sunlight [W m⁻²]
     evaporated: Any  # [kg m⁻² s⁻¹]
     molten: Any  # Melted minus frozen water of the layers [kg m⁻² s⁻¹]
@@ -119,23 +122,41 @@ def step(
     ahead = (1.0 - _GAMMA) / _GAMMA / stage
     sources = [ahead * capacity * change for capacity, change in zip(ground.capacity, changes, strict=True)]
     surface, changes, later = _stage(xp, state, sources, surface, ground, second, stage)
-    net_radiation, sensible, latent, into_ground, evaporated = (
-        (1.0 - _GAMMA) * one + _GAMMA * other for one, other in zip(fluxes, later, strict=True)
-    )
-    rain = (1.0 - _GAMMA) * first.rain_kg_m2_s + _GAMMA * second.rain_kg_m2_s
+    net_radiation, sensible, latent, warmed, into_ground, evaporated = map(_mean, fluxes, later)
+    rain = _mean(first.rain_kg_m2_s, second.rain_kg_m2_s)
     film = xp.minimum(xp.maximum(state.film + seconds * (rain - evaporated), 0.0), ground.held)
     changed = [_summed(*each) for each in zip(state.layers_k, state.remainder_k, changes, strict=True)]
     liquid, molten = state.liquid, 0.0 * film
     if ground.water is not None:
         changed, liquid, molten = _melted(xp, changed, liquid, ground)
-    means = Fluxes(net_radiation, sensible, latent, into_ground, evaporated, molten / seconds)
+    means = Fluxes(net_radiation, sensible, latent, warmed, into_ground, evaporated, molten / seconds)
     layers, remainder = zip(*changed, strict=True)
     return State(surface, list(layers), film, liquid, list(remainder)), means
+
+
+def terms(xp: Any, ground: ColumnProperties, first: Forcing, second: Forcing, fluxes: Fluxes) -> dict[str, Any]:
+    """Return the `TERMS` of the surfaces' balance, means over a `step`, above 0 where a surface gains heat [W m⁻²].
+
+    Sunlight and long-wave radiation are what is absorbed, with the first layer's share through gaps between leaves and
+    the sunlight that enters water and snow. Conduction is from the layers, which keep this share. Melt is of snow and
+    ice; other layers that freeze or thaw do so within conduction. The terms add up to 0 up to Newton's residual.
+    """
+    sunlight = _mean(first.absorbed, second.absorbed)
+    longwave = ground.emissivity * _mean(first.longwave, second.longwave)
+    melt = xp.where(ground.melting > 0.5, 0.0 - FUSION * fluxes.molten, 0.0 * fluxes.molten)
+    lost = (0.0 - each for each in (fluxes.sensible, fluxes.latent, fluxes.rain, fluxes.into_ground + melt))
+    found = sunlight, longwave, fluxes.net_radiation - sunlight - longwave, *lost, melt
+    return dict(zip(TERMS, found, strict=True))
 
 
 def stage_times(seconds: float) -> tuple[float, float]:
     """Return the times of a step's two stages after its beginning [s]."""
     return _GAMMA * seconds, seconds
+
+
+def _mean(first: Any, second: Any) -> Any:
+    """The mean over a step of a quantity at its two stages."""
+    return (1.0 - _GAMMA) * first + _GAMMA * second
 
 
 def _summed(kelvin: Any, remainder: Any, change: Any) -> tuple[Any, Any]:
@@ -189,8 +210,8 @@ def _stage(
     low, high = 0.0 * t, 0.0 * t + 1e4
 
     def residual(t: Any) -> tuple[Any, ...]:
-        """Terms of the balance at a surface temperature [K]: net radiation, sensible and latent heat, latent heat per
-        mass [J/kg], conduction, the residual [W m⁻²], and minus its derivative [W m⁻² K⁻¹]."""
+        """Terms of the balance at a surface temperature [K]: net radiation, heat of air and rain, latent heat and that
+        per mass [J/kg], conduction, the residual [W m⁻²], and minus its derivative [W m⁻² K⁻¹]."""
         h, bend = turbulence.convection(
             xp, t, forcing.air_k, forcing.wind_m_s, density, ground.log_wind, ground.log_heat, ground.height_m
         )
@@ -224,7 +245,8 @@ def _stage(
     into = xp.where(t < cap, conducted + more, radiation - sensible - latent)
     changes = filled(response.alpha + response.beta * into, drops, response)
     inside = forcing.absorbed - surface_sun + below - loss * changes[0]
-    return t, changes, (radiation + inside, sensible, latent, into + inside, latent / heat)
+    warmed = rain * (t - forcing.air_k)
+    return t, changes, (radiation + inside, sensible - warmed, latent, warmed, into + inside, latent / heat)
 
 
 def _melted(

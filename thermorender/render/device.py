@@ -76,6 +76,15 @@ class DeviceScene:
         sun = None if self._light is None else self._light.sun
         return None if sun is None else SunlitFaces(self.geometry, sun)
 
+    def shaded(self, states: Sequence[ObjectState]) -> Floats:
+        """Return the part of `Sunlight.lit` that moving objects take from each face of the static scene, (F,)."""
+        found = np.zeros(self.geometry.face_count)
+        for item, state in zip(self.objects, states, strict=True):
+            if self._sunlit is not None:
+                face, taken = item.shadow((state.lit or state).pose, self._sunlit)
+                found[face] += taken
+        return found
+
     @cached_property
     def copies_error(self) -> float:
         """Root mean square error of the light on copies of bodies [W m⁻² sr⁻¹]; 0 without copies."""

@@ -164,6 +164,11 @@ class DynamicObject:
         corner = np.concatenate([surface.vertices for surface in self.surfaces]) @ pose[:3, :3].T + pose[:3, 3]
         return np.stack([corner.min(axis=0), corner.max(axis=0)])
 
+    def shadow(self, pose: Floats, sunlit: SunlitFaces) -> tuple[NDArray[np.int64], Floats]:
+        """Return (faces, part of `Sunlight.lit` taken from each) of the object's shadow at a pose."""
+        own_from_scene = _matrix(self.geometry.mi, np.asarray(np.linalg.inv(pose), np.float64))
+        return sunlit.shaded(self.geometry, self.box(pose), own_from_scene)
+
     def _light(
         self, pose: Floats, temperature: float, geometry: Geometry, static: StaticLight, sunlit: SunlitFaces | None
     ) -> _Exchange:
@@ -212,8 +217,7 @@ class DynamicObject:
             squares.append((change.sum(axis=1) * weight) ** 2)
             changes.append((change @ spectrum.share.T) * weight[:, None])
         if static.sun is not None and sunlit is not None:
-            own_from_scene = _matrix(mi, np.asarray(np.linalg.inv(pose), np.float64))
-            face, taken = sunlit.shaded(self.geometry, self.box(pose), own_from_scene)
+            face, taken = self.shadow(pose, sunlit)
             change = -taken[:, None] * static.sun.facing * static.reflectance[face]
             ends_on.append(face)
             squares.append(np.zeros(len(face)))

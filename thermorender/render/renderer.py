@@ -36,6 +36,7 @@ from thermorender.render.view import View, parts_of
 from thermorender.scene.georeference import place_of
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import FILLED, Surface
+from thermorender.scene.temperature_state import Balance
 from thermorender.sensor.camera import Camera
 from thermorender.timing import phase
 from thermorender.trajectory.path import Trajectory
@@ -77,8 +78,8 @@ class Renderer:
     like : Renderer, optional
         A renderer of the same surfaces at other temperatures; its traced light is used again.
     edits : bool
-        Whether a heat balance keeps what `preview_for` needs, which takes a twentieth of its time more, and 25 bytes a
-        texel.
+        Whether a heat balance keeps what `preview_for` and `heat_terms` need, which takes a twentieth of its time more,
+        and 80 bytes for each column of the simulation, which like texels share.
     baked : BakedScene, optional
         The scene with its light, as from `baked` of another renderer; its plan has the settings.
 
@@ -181,8 +182,18 @@ class Renderer:
         return Renderer.of, (self.baked, self.seed)
 
     def solved_for(self, scene: Scene, progress: Progress | None = None) -> "Renderer":
-        """Return the Renderer of the same surfaces at other temperatures, by light already traced; see BakedScene."""
-        return self._like_this(self.baked.solved_for(scene, progress))
+        """Return the Renderer of an edited scene of the same surfaces, by light already traced; see `BakedScene`.
+
+        Temperatures that follow the weather are solved first, and kept for `preview_for` and `heat_terms` where this
+        renderer was made with `edits`.
+        """
+        heat = self._heat
+        if not scene.temperature_state.solved:
+            refuse_other_surfaces(self.scene.surfaces, scene.surfaces)
+            scene, heat = _solved(scene, self, self._geometry, progress, heat is not None)
+        made = self._like_this(self.baked.solved_for(scene, progress))
+        made._heat = heat
+        return made
 
     def preview_for(self, scene: Scene, progress: Progress | None = None) -> "Renderer":
         """Return the Renderer of a preview of an edited scene; see `BakedScene.preview_for`.
@@ -329,6 +340,46 @@ class Renderer:
 
         return parts_at(self._view(pose, time_s, objects, camera), pixels)
 
+    def heat_terms(self) -> dict[str, NDArray[np.float32]] | None:
+        """Return the terms of the heat balance of each texel at the scene's instant, why it is as warm as it is.
+
+        Each is a mean over the last step of the simulation, of at most five minutes, [W m⁻²] over the texel's area, and
+        above 0 where the surface gains heat. They add up to 0, to a few thousandths of a watt. A texel of a mixture has
+        the mean of its parts by area, leaves in crowns that of their quarter.
+
+        Returns
+        -------
+        dict of (T,) float32, or None
+            Of the texels of all surfaces as `hits` counts them; NaN where the temperature is not solved. None in a
+            preview and at other temperatures than those of the run. The names are
+
+            - "sunlight": absorbed, direct, diffuse and reflected by others; in water and snow also below the surface
+            - "longwave": absorbed, of the sky and of what the texel sees of the scene
+            - "emission": long-wave, −ε σ T⁴
+            - "sensible": convection, from the air
+            - "latent": evaporation and transpiration, below 0; dew and frost, above
+            - "rain": from rain as warm as the air
+            - "conduction": from the layers beneath, below 0 where the ground gains heat
+            - "melt": of snow and ice, below 0; water that freezes again, above
+
+        Raises
+        ------
+        ThermorenderError
+            The scene has no heat balance, or this renderer did not keep it.
+        """
+        state = self.scene.temperature_state
+        if not isinstance(state.source, Balance):
+            raise ThermorenderError(
+                f"{self.scene.where}: heat_terms needs temperatures of the heat balance; give the scene [weather] and "
+                "source = 'balance' in [temperature]"
+            )
+        if self._heat is None:
+            raise ThermorenderError(
+                "heat_terms needs what a run keeps for edits; make this renderer as Renderer(scene, edits=True), of a "
+                "scene of fewer than 4 million texels"
+            )
+        return self._heat.terms(self.scene)
+
     def refuse_camera(self, positions: ArrayLike) -> None:
         """Raise for cameras at local positions (…, 3) outside the range of the air or above its clouds."""
         refuse_camera(self.scene, positions)
@@ -363,15 +414,18 @@ class Renderer:
         found, _ = self._tracer(self._coloured, nothing, pose, time_s, objects, camera).image(_VISIBLE_EDGE)
         return bytes_from_linear(np.moveaxis(found[:3], 0, -1)), found[3] > 0.999
 
-    def texels(self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None) -> NDArray[np.int64]:
+    def texels(
+        self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None, static: bool = False
+    ) -> NDArray[np.int64]:
         """Return the number of the terrain's texel at each pixel's middle, (H, W) int64; −1 elsewhere.
 
-        Texels are counted row by row over the terrain's surfaces.
+        Texels are counted row by row over the terrain's surfaces. With `static`, those of objects without a track
+        follow, as in `hits` and `heat_terms`.
         """
         view = self._view(pose, time_s, objects)
         valid, number, *_ = truth.pixel_middles(self.baked.device.layers(view.pose, view.states), view.rays)
-        terrain = int(self._geometry.texel_start[self.scene.terrain_count])
-        return np.where(valid & (number < terrain), number.astype(np.int64), -1)
+        count = int(self._geometry.texel_start[-1 if static else self.scene.terrain_count])
+        return np.where(valid & (number < count), number.astype(np.int64), -1)
 
     def sky(
         self, pose: ArrayLike, camera: Camera | None = None, time_s: float = 0.0, objects: Objects | None = None
@@ -408,6 +462,24 @@ class Renderer:
         dr.eval(found)
         distance, texel = (np.array(values) for values in found)
         return distance, np.where(np.isfinite(distance), texel.astype(np.int64), -1)
+
+    def region(self, texel: int, alike: bool = False) -> NDArray[np.int64]:
+        """Return the texels connected to one and of its material, such as one roof, ascending, (n,) as of `hits`.
+
+        With `alike`, all texels of its surface that have its material and face up, or do not, as it does: all such
+        roofs.
+
+        Raises
+        ------
+        ThermorenderError
+            The static scene has no such texel.
+        """
+        from thermorender.render.regions import region
+
+        if not 0 <= texel < (count := int(self._geometry.texel_start[-1])):
+            raise ThermorenderError(f"texel={texel} is not allowed; give one of 0 … {count - 1}, as `hits` returns")
+        material = np.concatenate([surface.material.ravel() for surface in self.scene.surfaces])
+        return region(self._geometry, material, texel, alike)
 
     def faces(self, origin: ArrayLike, direction: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
         """Return (distance [m], infinite for a miss; number of the face, −1 for a miss) of rays as of `hits`."""

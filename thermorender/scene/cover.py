@@ -14,7 +14,6 @@ from thermorender.materials.material import Material, grey
 from thermorender.materials.mixture import mix, parts_of
 from thermorender.scene.drape import Drape
 from thermorender.scene.folder import SceneFiles
-from thermorender.scene.map_view import MapView
 from thermorender.scene.material_map import Context, Picture, context_of, learned_materials, model_of
 from thermorender.scene.patch import Patch
 from thermorender.scene.spec import EmissivitySpec, SurfaceSpec
@@ -58,7 +57,7 @@ class Covering(NamedTuple):
     surfaces: tuple[SurfaceSpec, ...]  # Parts of a mesh with their own material
     # Materials in place of others, as `Replaced` says; all are replaced at once, by the names the files give
     replaced: Replaced
-    painted: tuple[Patch, ...]  # Areas of the terrain with another material, the latest last
+    painted: tuple[Patch, ...]  # Texels of the terrain with another material, the latest last
     band_um: tuple[float, float] | None  # The camera's band [µm], which a learned map mixes materials for, else None
 
 
@@ -131,11 +130,9 @@ def cover_of(files: SceneFiles, covering: Covering, snow: bool, where: str) -> C
         ground.append(_raster_cover(surface, drape, emissivity, materials, {} if surface.far else report, no_snow))
     if painted:
         # A mesh has its own colours.
-        coloured = files.grid is not None and files.drapes[0].colour is None
-        near = len(files.near)
-        ground[:near] = [
-            _painted(own, k, files.map_view, painted, materials, coloured) for k, own in enumerate(ground[:near])
-        ]
+        coloured = [*(False for _ in files.textures), *(drape.colour is None for drape in files.drapes)]
+        start = np.cumsum([0, *(own.flags.size for own in ground)])
+        ground = [_painted(*each, painted, materials) for each in zip(ground, start[:-1], coloured, strict=True)]
     numbers = tuple(materials.index(material, f"object {name!r}", OBJECT + name) for name, material in objects)
     for key in materials.unused:
         known = dict.fromkeys(part.name for each in materials.used for part, _ in parts_of(each))
@@ -377,21 +374,18 @@ def _mesh_context(files: SceneFiles, emissivity: EmissivitySpec, where: str) -> 
     return context_of(emissivity, *view.heights(cell_m), view.grid, cell_m, walls=True)
 
 
-def _painted(
-    own: Painted, number: int, map_view: MapView | None, painted: Sequence[Patch], materials: MaterialList,
-    coloured: bool,
-) -> Painted:  # fmt: skip
-    """The cover of a surface with the materials of patches, and with their colours where materials give these."""
-    assert map_view is not None
+def _painted(own: Painted, first: int, coloured: bool, painted: Sequence[Patch], materials: MaterialList) -> Painted:
+    """The cover of a surface, whose texels have the numbers from `first` on, with the materials of patches, and with
+    their colours where materials give these."""
     material, colour, flags = own.material.copy(), own.colour, own.flags.copy()
     colour = colour.copy() if coloured else colour
     for patch in painted:
-        texels = map_view.onto(number, patch.cells)
-        if texels.any():
-            material[texels] = materials.add(patch.material)
-            flags[texels] &= ~np.uint8(UNKNOWN)
+        texels = patch.texels[slice(*np.searchsorted(patch.texels, [first, first + flags.size]))] - first
+        if texels.size:
+            material.flat[texels] = materials.add(patch.material)
+            flags.flat[texels] &= ~np.uint8(UNKNOWN)
         if coloured:
-            colour[texels] = patch.material.colour
+            colour.reshape(-1, 3)[texels] = patch.material.colour
     return Painted(material, colour, flags)
 
 

@@ -55,7 +55,7 @@ class Declared:
     given_kelvin: tuple[NDArray[Any], ...] | None = None
     # Materials in place of others, as `thermorender.scene.cover.Replaced` says
     replaced: Mapping[int | str, Material] = field(default_factory=dict)
-    painted: tuple[Patch, ...] = ()  # Areas of the terrain with another material, the latest last
+    painted: tuple[Patch, ...] = ()  # Texels of the terrain with another material, the latest last
     # Columns of tracks that an edit fixes at one value, by the name of the object
     held: Mapping[str, frozenset[str]] = field(default_factory=dict)
     of_file: SceneSpec | None = None  # The scene file without edits; None for surfaces made in memory

@@ -291,7 +291,7 @@ def _with_classes(spec: SceneSpec, files: SceneFiles, where: str) -> tuple[Textu
         if path is not None:
             numbers = onto_texels(read_classes(path).astype(np.uint8), path, files.ground[k], textures[k])
             refuse_unnamed(numbers, path, spec.emissivity.classes, where)
-            found[k] = replace(textures[k], classes=numbers)
+            found[k] = replace(textures[k], classes=numbers, file=path)
     return tuple(found)
 
 

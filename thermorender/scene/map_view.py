@@ -72,6 +72,11 @@ class MapView:
         """Return values of the cells, (H, W), at the texels of a surface, (h, w); 0 where the map does not show one."""
         return np.where(self.seen(number), values.ravel()[self.cells[number]], values.dtype.type(0))
 
+    def texels(self, cells: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Return the numbers, over all surfaces, of the texels that some cells (H, W) show, (n,) ascending."""
+        found = [self.onto(number, cells).ravel() for number in range(len(self.cells))]
+        return np.flatnonzero(np.concatenate(found))
+
 
 def of_raster(grid: Grid) -> MapView:
     """Return the MapView of a raster terrain, whose texels are the cells."""

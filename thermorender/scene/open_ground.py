@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import parts_of
-from thermorender.materials.thermal import Thermal
+from thermorender.materials.thermal import FILMS, Thermal
 from thermorender.physics import balance, turbulence
 from thermorender.physics.balance import ColumnProperties, Forcing, State
 from thermorender.physics.conduction import LAYERS, Slab, layered
@@ -22,9 +22,6 @@ from thermorender.weather.series import Conditions, Weather
 
 # Roughness length of the open grass over which wind is measured: WMO-No. 8 (2018), volume I, 5.9.2 [m].
 STATION_ROUGHNESS_M = 0.03
-# Films of still indoor air and of moving air under a sheet: ISO 6946:2017, table 7 [W m⁻² K⁻¹]. The face above a well
-# ventilated cavity has the resistance of still air (6.9.4).
-_FILMS = {"inside": 1.0 / 0.13, "outside": 1.0 / 0.04, "ventilated": 1.0 / 0.13}
 # Water that stays on leaves and on hard ground, and what bare soil holds before it resists evaporation: FAO Irrigation
 # and Drainage Paper 56 (1998), table 19, loams: 8 mm [kg m⁻²].
 _HELD, _HELD_BY_SOIL = 0.5, 8.0
@@ -119,11 +116,11 @@ def _column(
     skin = thermal.skin_conductance_w_m2_k or np.inf
     if thermal.cover == "water":
         skin = thermal.conductivity_w_m_k / _COOL_SKIN_M
-    cut = layered(slabs, skin, _FILMS.get(end), layers)
+    cut = layered(slabs, skin, FILMS.get(end), layers)
     # Liquid water that the layers can hold.
     kept = [balance.RETENTION if snow else 1.0 for snow in snowy]
     held = [replace(slab, water=share * slab.water) for slab, share in zip(slabs, kept, strict=True)]
-    room = layered(held, skin, _FILMS.get(end), layers).water
+    room = layered(held, skin, FILMS.get(end), layers).water
     rough = thermal.roughness_m
     wind_m, air_m, factor = _wind_over(material.name, rough, weather, station_roughness_m)
     log_wind = np.log(wind_m / rough)

@@ -1,4 +1,4 @@
-"""Areas of the terrain whose material an edit names: polygons of a map or of the local frame, on the cells of a map."""
+"""Areas of the terrain whose material an edit names: polygons of a map or of the local frame, or numbers of texels."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,6 +15,7 @@ from thermorender.materials.material import Material
 from thermorender.scene.georeference import Place
 from thermorender.scene.ground import Ground
 from thermorender.scene.raster import Grid
+from thermorender.scene.surface import Surface
 
 _POLYGONS = ("Polygon", "MultiPolygon")
 # Farther corners are on no map: the Earth is 4e10 mm round.
@@ -23,10 +24,25 @@ _FARTHEST_PX = 1e12
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """The cells of a scene's map that an area covers, (h, w) bool, and their new material."""
+    """Texels of a terrain's surfaces, by their ascending numbers over all of them (n,), and their new material."""
 
-    cells: NDArray[np.bool_]
+    texels: NDArray[np.int64]
     material: Material
+
+
+def numbered(given: Any, surfaces: Sequence[Surface], where: str) -> NDArray[np.int64]:
+    """Return numbers of texels over some surfaces, ascending and once each; refuse others than these have."""
+    try:
+        found = np.asarray(given).ravel()
+    except ValueError:
+        found = np.zeros(1)
+    count = sum(surface.flags.size for surface in surfaces)
+    if not found.size or found.dtype.kind not in "iu" or found.min() < 0 or found.max() >= count:
+        raise ThermorenderError(
+            f"{where}: texels={shortened(repr(given))} is not allowed; give one or more whole numbers 0…{count - 1} of "
+            "the terrain's texels, as Renderer.texels returns, and name objects in with_material"
+        )
+    return np.unique(found).astype(np.int64)
 
 
 def name_of(given: str | PathLike[str] | Mapping[str, Any]) -> str:

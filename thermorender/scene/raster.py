@@ -88,11 +88,13 @@ class RasterWindow:
         }
 
 
-def window_of(path: Path, crs: Any, bounds: tuple[float, float, float, float], most: int) -> RasterWindow:
+def window_of(
+    path: Path, crs: Any, bounds: tuple[float, float, float, float], most: int, undeclared: Any = None
+) -> RasterWindow:  # fmt: skip
     """Return the RasterWindow of a raster of any size within bounds on a map, with about `most` pixels or less."""
     from rasterio import Affine
 
-    grid = grid_of(path, any_size=True)
+    grid = grid_of(path, any_size=True, undeclared=undeclared)
     there = bounds_in(grid.crs, Grid(crs, Affine(bounds[2] - bounds[0], 0.0, bounds[0], 0.0, bounds[1] - bounds[3],
                                                  bounds[3]), 1, 1, grid.name))  # fmt: skip
     x, y = np.array([there[0], there[2], there[0], there[2]]), np.array([there[1], there[1], there[3], there[3]])
@@ -192,17 +194,18 @@ def files_of(path: Path, any_size: bool = False) -> list[str]:
         return list(dataset.files)
 
 
-def grid_of(path: Path, any_size: bool = False) -> Grid:
-    """Return the Grid of a raster file."""
+def grid_of(path: Path, any_size: bool = False, undeclared: Any = None) -> Grid:
+    """Return the Grid of a raster file; `undeclared` is the CRS of one that declares none."""
     with opened(path, any_size) as dataset:
-        if dataset.crs is None:
+        crs = dataset.crs or undeclared
+        if crs is None:
             raise ThermorenderError(
-                f"{path} has no coordinate reference system (CRS); assign one, "
-                "for example with `rio edit-info --crs EPSG:32651`"
+                f"{path} has no coordinate reference system (CRS); assign one, for example with `rio edit-info --crs "
+                "EPSG:32651`, or give crs to an import"
             )
-        if dataset.crs.to_wkt().startswith("GEOCCS"):
+        if crs.to_wkt().startswith("GEOCCS"):
             raise ThermorenderError(
-                f"{path} is in {crs_name(dataset.crs)}, a geocentric CRS and not a map; convert it "
+                f"{path} is in {crs_name(crs)}, a geocentric CRS and not a map; convert it "
                 "to a geographic or projected one, for example with `rio warp`"
             )
         if dataset.transform.is_identity or dataset.transform.is_degenerate:
@@ -210,7 +213,7 @@ def grid_of(path: Path, any_size: bool = False) -> Grid:
                 f"{path} has no geotransform, so its position on the map is unknown; assign one, "
                 "for example with `rio edit-info --transform`"
             )
-        return Grid(dataset.crs, dataset.transform, dataset.height, dataset.width, str(path))
+        return Grid(crs, dataset.transform, dataset.height, dataset.width, str(path))
 
 
 def on_map(path: Path) -> bool:

@@ -41,7 +41,7 @@ from thermorender.scene.cover import OBJECT, SURFACE_OF_MESH, Cover, Painted
 from thermorender.scene.declared import Declared
 from thermorender.scene.folder import of_ground
 from thermorender.scene.georeference import place_of
-from thermorender.scene.patch import Patch, areas, texels_in
+from thermorender.scene.patch import Patch, areas, numbered, texels_in
 from thermorender.scene.pipeline import Values
 from thermorender.scene.shape import Shape
 from thermorender.scene.spec import WEATHER, AtmosphereSpec, EmissivitySpec, SceneSpec, SunSpec, TemperatureSpec
@@ -852,36 +852,88 @@ class Scene:
             The name of a material, a grey emissivity 0…1, or a Material; by default the property "material" of each
             polygon. It has no other effect: temperatures of a raster or map stay.
         """
-        self.refuse_tiles("with_material_in")
-        now, files = self._declared, self._declared.files
-        place = place_of(files.frame, files.grid) if files else None
-        if files is None or place is None:
-            how = "edit the scene before with_surfaces" if files is None else (
-                "add [frame] with latitude_deg, longitude_deg and height_m, or name a part of the mesh in with_material"
-            )  # fmt: skip
-            raise ThermorenderError(f"{now.where}: with_material_in needs a terrain with a place on a map; {how}")
-        map_view = files.map_view
-        if map_view is None:
-            raise ThermorenderError(
-                f"{now.where}: with_material_in changes what is seen from above, and this mesh has walls or leaves "
-                "only; name a part of it in with_material"
-            )
-        name = f"area {area}" if isinstance(area, (str, PathLike)) else "with_material_in: the area"
         patches = []
-        for geometry, own in areas(area, place, self.ground):
+        for texels, own in self._texels_in(area, "with_material_in"):
             chosen = own if material is None else material
             if chosen is None:
                 raise ThermorenderError(
-                    f"{name} has a polygon without the property 'material'; give a material, or name it there"
+                    f"{_area_name(area, 'with_material_in')} has a polygon without the property 'material'; give a "
+                    "material, or name it there"
                 )
-            new = material_of("material", chosen, files.library, "with_material_in")
-            cells = texels_in(geometry, map_view.grid, name)
-            if not any(map_view.onto(k, cells).any() for k in range(len(files.near))):
+            patches.append(Patch(texels, self._given_material(chosen, "with_material_in")))
+        return self._edited(replace(self._declared, painted=(*self._declared.painted, *patches)))
+
+    def with_material_at(self, texels: ArrayLike, material: str | Number | Material) -> "Scene":
+        """Return this scene with another material on texels of its terrain, also of walls and of what roofs hide.
+
+        Parameters
+        ----------
+        texels : (n,) ints
+            Their numbers over the terrain's surfaces, row by row, as `Renderer.texels` returns. A surface whose faces
+            have a texel each, such as leaves, is painted face by face; objects have one material.
+        material : str, float or Material
+            As of `with_material_in`. Later areas and texels cover earlier ones.
+        """
+        self.refuse_tiles("with_material_at")
+        files = self._declared.files
+        if files is None:
+            raise self._in_memory("with_material_at")
+        numbers = numbered(texels, files.ground, "with_material_at")
+        patch = Patch(numbers, self._given_material(material, "with_material_at"))
+        return self._edited(replace(self._declared, painted=(*self._declared.painted, patch)))
+
+    def texels_in(self, area: str | PathLike[str] | Mapping[str, Any] | ArrayLike) -> NDArray[np.int64]:
+        """Return the numbers of the terrain's texels that `with_material_in` changes in an area, (n,) ascending."""
+        return np.unique(np.concatenate([texels for texels, _ in self._texels_in(area, "texels_in")]))
+
+    def _texels_in(self, area: Any, edit: str) -> list[tuple[NDArray[np.int64], str | None]]:
+        """[(numbers of the terrain's texels, property "material" or None)] of the polygons of an area."""
+        self.refuse_tiles(edit)
+        now, files = self._declared, self._declared.files
+        place = place_of(files.frame, files.grid) if files else None
+        if files is None:
+            raise self._in_memory(edit)
+        if place is None:
+            raise ThermorenderError(
+                f"{now.where}: {edit} needs a terrain with a place on a map; add [frame] with latitude_deg, "
+                "longitude_deg and height_m, or name a part of the mesh in with_material"
+            )
+        map_view = files.map_view
+        if map_view is None:
+            raise ThermorenderError(
+                f"{now.where}: {edit} takes what is seen from above, and this mesh has walls or leaves only; name a "
+                "part of it in with_material, or give its texels to with_material_at"
+            )
+        found, name = [], _area_name(area, edit)
+        for geometry, own in areas(area, place, self.ground):
+            texels = map_view.texels(texels_in(geometry, map_view.grid, name))
+            if not texels.size:
                 raise ThermorenderError(
                     f"{name} covers no texel of a ground or roof that is seen from above; draw it on one"
                 )
-            patches.append(Patch(cells, new))
-        return self._edited(replace(now, painted=(*now.painted, *patches)))
+            found.append((texels, own))
+        return found
+
+    def _given_material(self, material: str | Number | Material, edit: str) -> Material:
+        """The Material of an edit's argument."""
+        assert self._declared.files is not None
+        return material_of("material", material, self._declared.files.library, edit)
+
+    def _in_memory(self, edit: str) -> ThermorenderError:
+        """The error on an edit of surfaces that no files describe."""
+        return ThermorenderError(
+            f"{self._declared.where}: {edit} needs a terrain that files describe; edit the scene before with_surfaces"
+        )
+
+    @property
+    def class_files(self) -> tuple[Path | None, ...]:
+        """The raster of each terrain surface's classes: of a mesh, in the pixels of its texture; None without one, for
+        far ground and for tiles."""
+        files = self._declared.files
+        if files is None or files.world is not None:
+            return (None,) * self.terrain_count
+        own = (*(texture.file for texture in files.textures), *(drape.classes_file for drape in files.drapes))
+        return tuple(None if each.far else path for each, path in zip(files.ground, own, strict=True))
 
     def refuse_unsolved(self) -> None:
         """Raise unless the terrain's temperatures are known."""
@@ -923,7 +975,13 @@ class Scene:
         return text.html_of(self)
 
 
+def _area_name(area: Any, edit: str) -> str:
+    """What messages call an area."""
+    return f"area {area}" if isinstance(area, (str, PathLike)) else f"{edit}: the area"
+
+
 _EDITS = (
     "use with_camera, with_air, with_sky, with_sun, with_weather, with_temperature, with_material, with_material_in, "
-    "with_objects, with_surfaces, with_learned_materials, with_solved_temperatures or at, which return another scene"
+    "with_material_at, with_objects, with_surfaces, with_learned_materials, with_solved_temperatures or at, which "
+    "return another scene"
 )

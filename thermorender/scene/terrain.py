@@ -23,12 +23,15 @@ _PLACEHOLDERS = (-9999.0, -32767.0, -32768.0, 32767.0, 65535.0)
 _DOUBTFUL_M = 20.0
 
 
-def read_elevation(path: Path, part: RasterWindow | None = None) -> tuple[NDArray[np.float64], Grid]:
-    """Return (heights (h, w) float64 [m] with NaN where missing, Grid) of an elevation raster, or its window."""
-    grid = part.grid if part else grid_of(path)
+def read_elevation(
+    path: Path, part: RasterWindow | None = None, undeclared: Any = None
+) -> tuple[NDArray[np.float64], Grid]:  # fmt: skip
+    """Return (heights (h, w) float64 [m] with NaN where missing, Grid) of an elevation raster, or its window;
+    `undeclared` is the CRS of a raster that declares none."""
+    grid = part.grid if part else grid_of(path, undeclared=undeclared)
     left, bottom, right, top = grid.bounds
     lon_lat(grid, np.array([left, right]), np.array([bottom, top]))
-    height = heights_in(path, part)
+    height = heights_in(path, part, grid.crs)
     if min(height.shape) < 2:
         raise ThermorenderError(f"{path} has {height.shape[0]}×{height.shape[1]} posts; terrain needs at least 2×2")
     if not np.isfinite(height).any():
@@ -38,9 +41,10 @@ def read_elevation(path: Path, part: RasterWindow | None = None) -> tuple[NDArra
     return height, grid
 
 
-def heights_in(path: Path, part: RasterWindow | None = None) -> NDArray[np.float64]:
-    """Return the heights of an elevation raster, or of its window, (h, w) [m]; NaN where missing."""
-    height = _metres(path) * read_band(path, _PLACEHOLDERS, part)
+def heights_in(path: Path, part: RasterWindow | None = None, undeclared: Any = None) -> NDArray[np.float64]:
+    """Return the heights of an elevation raster, or of its window, (h, w) [m]; NaN where missing. `undeclared` is the
+    CRS of one that declares none."""
+    height = _metres(path, undeclared) * read_band(path, _PLACEHOLDERS, part)
     # ±3.4e38 and others.
     height[~(np.abs(height) < 9000.0)] = np.nan
     return height
@@ -63,12 +67,12 @@ def doubtful_zeros(path: Path, height: NDArray[np.floating]) -> tuple[str, ...]:
     )
 
 
-def _metres(path: Path) -> float:
+def _metres(path: Path, undeclared: Any) -> float:
     """Metres in the unit of a raster's heights, by its band and its vertical CRS."""
     with opened(path, any_size=True) as dataset:
         unit = (dataset.units[0] if dataset.count else None) or ""
         declare = "declare the right unit with `rio edit-info --bidx 1 --units m FILE` (or ft, or us-ft)"
-        return metres_of_heights(path, dataset.crs, unit, declare)
+        return metres_of_heights(path, dataset.crs or undeclared, unit, declare)
 
 
 def metres_of_heights(path: Path, crs: Any, unit: str, declare: str) -> float:

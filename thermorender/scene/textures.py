@@ -30,6 +30,7 @@ class Texture:
     # texture
     size: tuple[int, int] | None = None
     classes: NDArray[np.uint8] | None = None  # (h, w) uint8 class numbers of the texels, 0 for no data
+    file: Path | None = None  # The raster of these classes in the pixels of the texture; None for one on a map
     # (h, w) bool texels that a map with these numbers shows; None for numbers in the pixels of the texture
     shown: NDArray[np.bool_] | None = None
 

@@ -101,14 +101,6 @@ class Samples:
             mi.Float(aligned(np.concatenate(weights))),
         )
 
-    def around(self, face: int) -> tuple[NDArray[np.uint32], Floats]:
-        """Return (texels, weights) over which the points of each face average; the weights sum to one."""
-        mi = self.geometry.mi
-        point = dr.arange(mi.UInt32, self.count)
-        found = self.corners(dr.full(mi.UInt32, face, self.count), point)
-        texel, weight = (np.concatenate([np.array(each[k]) for each in found]) for k in (0, 1))
-        return texel, weight.astype(np.float64) / self.count
-
     def received(self, sent: NDArray[np.float32], faces: NDArray[np.intp], pool: Executor) -> NDArray[np.float32]:
         """Return what faces receive from radiance that some faces (n,), ascending, send, both (k, F) float32 [W m⁻²
         sr⁻¹]."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from thermorender.materials.material import Material
 from thermorender.physics import balance
-from thermorender.physics.balance import State
+from thermorender.physics.balance import TERMS, State
 from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.render.arrays import aligned
 from thermorender.render.heat.known_light import SUNLIGHT, Record
@@ -117,15 +117,29 @@ class SolvedHeat:
         )  # fmt: skip
         return made
 
-    def _covered(self, kelvin: NDArray[np.float32]) -> list[NDArray[np.float32]]:
-        """Temperatures of the surfaces; texels without a face, which only blend, take the nearest's."""
+    def terms(self, scene: Scene) -> dict[str, NDArray[np.float32]] | None:
+        """Return the `balance.TERMS` of all texels in the last step of the run, (T,) each [W m⁻²], NaN where no
+        temperature is solved; None where a scene of these surfaces has other temperatures or those of a preview."""
+        state, pairs = scene.temperature_state, zip(self.scene.surfaces, scene.surfaces, strict=True)
+        same = all(np.array_equal(one.temperature, other.temperature) for one, other in pairs)
+        if not same or not isinstance(state, Available) or state.preview_k is not None:
+            return None
+        record, found = self.record, {}
+        others = np.full(sum(each.material.size for each in self.scene.surfaces) - len(record.row), np.nan, np.float32)
+        for number, name in enumerate(TERMS):
+            parts = self._covered(record.terms[record.row, number])
+            found[name] = np.concatenate([*(part.ravel() for part in parts), others])
+        return found
+
+    def _covered(self, values: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+        """Values of texels by surface; texels without a face, which only blend, take the nearest's."""
         solved = self.scene.surfaces[: self.scene.solved_count]
         ends = np.cumsum([surface.material.size for surface in solved])[:-1]
         shape = [surface.material.shape for surface in solved]
         if self.nearest is None:
             valid = [part.reshape(of) >= 0 for part, of in zip(np.split(self.record.column, ends), shape, strict=True)]
             self.nearest = [None if part.all() else nearest_valid(part) for part in valid]
-        parts = [part.reshape(of) for part, of in zip(np.split(kelvin, ends), shape, strict=True)]
+        parts = [part.reshape(of) for part, of in zip(np.split(values, ends), shape, strict=True)]
         return [part if of is None else fill(part, of) for part, of in zip(parts, self.nearest, strict=True)]
 
 

@@ -4,7 +4,7 @@ An edit of materials changes the light that falls on a texel little. So the colu
 the light that is known, and other texels take the change of those with like light (`thermorender.render.heat.edited`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -63,6 +63,10 @@ class Record:
         Column of the first part of each face that is solved.
     sun : dict
         Results of tests for the sun, for a run after an edit.
+    terms : (R, len(TERMS)) float32
+        The `balance.TERMS` of the last step [W m⁻²]: rows of columns, or of texels where these have several parts.
+    row : (T,) int32
+        Row of each texel in `terms`, −1 for those that have no column.
     """
 
     mi: Any
@@ -82,6 +86,8 @@ class Record:
     face_material: NDArray[np.integer]
     face_column: NDArray[np.integer]
     sun: SunMemory
+    terms: NDArray[np.float32]
+    row: NDArray[np.int32]
 
 
 class Recorder:
@@ -90,7 +96,7 @@ class Recorder:
     def __init__(
         self, simulation: "_Simulation", texels: NDArray[np.integer], parts: Parts, steps: list[tuple[float, float]]
     ) -> None:
-        self._of, self._steps, self._texels = simulation, steps, texels
+        self._of, self._steps, self._texels, self._parts = simulation, steps, texels, parts
         material, rng = simulation.material[texels], np.random.default_rng(0)
         each = np.unique(material)
         most = min(_DRAWN, _MOST // max(len(each), 1))
@@ -112,7 +118,7 @@ class Recorder:
 
     def columns_are(self, own: NDArray[np.integer], index: Jit = None) -> None:
         """Take note of the number of the column of each part from now on; `index` gives that before of each column."""
-        self._own = own[self._first]
+        self._columns, self._own = own, own[self._first]
         self._own[self._copies] = self._of_copies
         self._at = self._of.mi.UInt32(aligned(self._own[self._drawn], np.uint32))
         if index is not None:
@@ -133,6 +139,11 @@ class Recorder:
         dr.eval(both, self._past)
         self._light.append(both)
 
+    def ends(self, terms: Mapping[str, Jit]) -> None:
+        """Take note of the `balance.terms` of all columns in the last step, which is evaluated next."""
+        self._terms = list(terms.values())
+        dr.schedule(self._terms)
+
     def record(self, columns: "_Columns", kelvin: NDArray[np.float32]) -> Record:
         """Return the Record of columns with these temperatures at the end [K]."""
         simulation = self._of
@@ -146,10 +157,19 @@ class Recorder:
         table = np.column_stack([*known, reflects]).astype(np.float32)
         column = np.full(simulation.texels, -1, np.int32)
         column[self._texels] = first
+        column = column[simulation.first]
+        terms, row = np.stack([np.array(each) for each in self._terms], axis=1), column
+        if self._parts.mixed or simulation.of_faces.mixed:
+            of_faces = simulation.of_faces.mean(terms[: len(simulation.of_faces.kind)])
+            terms, row = self._parts.mean(terms[self._columns]), np.full_like(column, -1)
+            terms[self._copies] = of_faces[simulation.column[simulation.covers[self._texels[self._copies]]]]
+            row[self._texels] = np.arange(len(self._texels))
+            row = row[simulation.first]
         drawn, at = self._texels[self._drawn], first[self._drawn]
         return Record(
             simulation.mi, simulation.parts, simulation.inside_k, simulation.start,
             self._steps, drawn, simulation.material[drawn].astype(np.int64), face[at], table[at], self._light,
-            table, face.astype(np.int32), column[simulation.first], simulation.operator, simulation.face_material,
+            table, face.astype(np.int32), column, simulation.operator, simulation.face_material,
             np.asarray(np.searchsorted(simulation.of_faces.place, simulation.column)), simulation.sun.memory or {},
+            terms, row,
         )  # fmt: skip

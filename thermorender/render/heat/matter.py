@@ -38,7 +38,15 @@ class Parts:
         self._start = np.cumsum(count) - count
         part = np.arange(len(self.place)) - self._start[self.place]
         self.kind = kinds.kind[material[self.place], part]
-        self._weight = kinds.weight[material[self.place], part] if (count > 1).any() else None
+        mixed = bool((count > 1).any())
+        self._weight, self._area = (
+            each[material[self.place], part] if mixed else None for each in (kinds.weight, kinds.area)
+        )
+
+    @property
+    def mixed(self) -> bool:
+        """Whether a place has several parts."""
+        return self._area is not None
 
     def share(self) -> NDArray[np.float64]:
         """Return the share of each part in the emission of its place, (P,)."""
@@ -50,10 +58,16 @@ class Parts:
             return columns
         return (np.add.reduceat(self._weight * columns.astype(np.float64) ** 4, self._start) ** 0.25).astype(np.float32)
 
+    def mean(self, columns: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the means by area, over the parts of each place, of values of the columns (P, n)."""
+        if self._area is None:
+            return columns
+        return np.add.reduceat(self._area[:, None] * columns, self._start).astype(np.float32)
+
 
 class Kinds:
-    """The kinds of column that parts of materials are: each material has `count` (M,) of them, with the numbers `kind`
-    and shares in its emission at a common temperature, `weight` (M, most)."""
+    """The kinds of column that parts of materials are: each material has `count` (M,) of them, with the numbers `kind`,
+    shares of its `area` and shares in its emission at a common temperature, `weight`, (M, most) each."""
 
     def __init__(self, parts: PartsOf, present: NDArray[np.integer], make: Callable[[Sequence[Material]], Any]) -> None:
         used = [part for number in present for part, _ in parts[number]]
@@ -69,10 +83,12 @@ class Kinds:
         self.count = np.ones(len(parts), np.int64)
         self.count[present] = [len(parts[each]) for each in present]
         self.kind = np.zeros((len(parts), self.count.max()), np.int64)
-        self.weight = np.ones(self.kind.shape)
+        self.weight, self.area = np.ones(self.kind.shape), np.ones(self.kind.shape)
         for material, kinds in zip(present, np.split(number, np.cumsum(self.count[present])[:-1]), strict=True):
-            emitted = np.array([share * open_ground.broadband(part) for part, share in parts[material]])
+            area = np.array([share for _, share in parts[material]])
+            emitted = area * [open_ground.broadband(part) for part, _ in parts[material]]
             self.kind[material, : len(kinds)], self.weight[material, : len(kinds)] = kinds, emitted / emitted.sum()
+            self.area[material, : len(kinds)] = area / area.sum()
 
 
 def of_kinds(

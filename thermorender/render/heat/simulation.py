@@ -412,7 +412,10 @@ class _Simulation:
             first, second = (self._forcing(at + offset, light, columns, sun) for offset in balance.stage_times(seconds))
             if recorder is not None:
                 recorder.take((first, second), seconds)
-            state, _ = balance.step(Library, state, columns.matter.ground, first, second, dr.opaque(mi.Float, seconds))
+            ground = columns.matter.ground
+            state, fluxes = balance.step(Library, state, ground, first, second, dr.opaque(mi.Float, seconds))
+            if recorder is not None and number + 1 == len(steps):
+                recorder.ends(balance.terms(Library, ground, first, second, fluxes))
             evaluate(state)
             progress((number + 1) / len(steps))
             if self.start + np.timedelta64(round(at + seconds), "s") in self.asked:

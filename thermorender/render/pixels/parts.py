@@ -1,8 +1,8 @@
 """Where the radiance of single pixels comes from: emission, reflected sky, sun and surroundings, and the air.
 
 A pixel is represented by the ray through its middle. The texels and the face that it hits hold the sum of emission and
-reflected light (`thermorender.render.light.texels`); here the light on the faces is split by its origin, to the
-rounding of float32. A mirror image is split by what its second ray hits.
+reflected light (`thermorender.render.light.texels`). What is not emission is divided as the light on the face is, which
+no blending with other faces' texels makes negative. A mirror image is split by what its second ray hits.
 """
 
 from dataclasses import dataclass
@@ -49,12 +49,13 @@ class PixelParts:
     apparent_k : float
         Temperature of a blackbody with the ray's radiance [K].
     radiance : dict
-        {part: band radiance [W m⁻² sr⁻¹]}; the sum is that of the ray through the pixel's middle. "emission", and
-        reflected light of "sky", "sun" and "surroundings", as they arrive through the air; "air", which the path adds;
-        "background", sky or ground beyond the terrain that the pixel shows itself. Light that other surfaces pass on,
-        whatever its origin, is "surroundings", as is all light on objects with a track.
+        {part: band radiance [W m⁻² sr⁻¹]}, from 0 on; the sum is that of the ray through the pixel's middle.
+        "emission", and reflected light of "sky", "sun" and "surroundings", as they arrive through the air; "air", which
+        the path adds; "background", sky or ground beyond the terrain that the pixel shows itself. Light that other
+        surfaces pass on, whatever its origin, is "surroundings", as is all light on objects with a track. Reflected
+        light has the shares of the light on the face, in a preview those of its solution.
     kelvin : dict
-        {part: by how much the apparent temperature would fall without it [K]}.
+        {part: by how much the apparent temperature would fall without it [K]}, from 0 on.
     """
 
     pixel: tuple[int, int]
@@ -77,7 +78,7 @@ def parts_at(view: View, pixels: ArrayLike) -> list[PixelParts]:
     names, owner, found = ("", *object_names(scene)), objects_of_surfaces(scene), []
     for number, (row, column) in enumerate(pixels.tolist()):
         valid, kind, beside = bool(rays.valid[number]), int(rays.kind[number]), float(rays.added[number])
-        radiance = dict(zip(PARTS[:4], (rays.leaving(number) @ rays.weight[number]).tolist(), strict=True))
+        radiance = dict(zip(PARTS[:4], rays.leaving(number).tolist(), strict=True))
         radiance |= {"air": beside if valid else 0.0, "background": 0.0 if valid else beside}
         total = sum(radiance.values())
         rest = brightness_temperature(np.maximum(total - np.array(list(radiance.values())), 0.0), *band)
@@ -92,7 +93,7 @@ def parts_at(view: View, pixels: ArrayLike) -> list[PixelParts]:
             range_m=float(rays.distance[number]) if valid else np.inf,
             apparent_k=apparent,
             radiance=radiance,
-            kelvin=dict(zip(radiance, (apparent - rest).tolist(), strict=True)),
+            kelvin=dict(zip(radiance, np.maximum(apparent - rest, 0.0).tolist(), strict=True)),
         ))  # fmt: skip
     return found
 
@@ -169,20 +170,30 @@ class _Rays:
         arrays = [np.broadcast_to(np.array(value), len(order)) for value in found]
         self.distance, self.valid, self.face, self.surface, self.layer, self.cosine, self.kind = arrays[:7]
         self._mirror, self._sky, corners = arrays[7], arrays[8], arrays[9:17]
-        self._texel, self._weight = (np.stack(corners[k::2], axis=1) for k in (0, 1))
+        texel, self._weight = (np.stack(corners[k::2], axis=1) for k in (0, 1))
         self._shown, self._glint = (
             np.stack(arrays[first : first + channels], axis=1).astype(np.float64) for first in (17, 17 + channels)
         )
         self.added, *passed = arrays[17 + 2 * channels :]
         self.weight = np.stack([each - self.added for each in passed], axis=1).astype(np.float64)
-        self.kinetic = self._kinetic(self._texel[np.arange(len(order)), self._weight.argmax(axis=1)])
+        self._read(texel)
 
-    def _kinetic(self, texel: NDArray[Any]) -> Floats:
-        """Temperatures of texels of the static scene, or of the objects hit [K]."""
-        found = flat(self._baked.scene.surfaces, "temperature")
+    def _read(self, texel: NDArray[Any]) -> None:
+        """Take note of temperatures [K], and on static surfaces of the texels (n, 4) and of the light on the faces."""
+        baked, still = self._baked, self.valid & (self.layer == 0)
+        texel, face = np.where(still[:, None], texel, 0), np.where(still, self.face, 0)
+        self._kinds, self._warm = (flat(baked.scene.surfaces, name)[texel] for name in ("material", "temperature"))
+        nearest = self._warm[np.arange(len(texel)), self._weight.argmax(axis=1)]
         moving = np.array([np.nan, *(state.temperature for state in self._view.states)])
-        still = self.valid & (self.layer == 0)
-        return np.where(still, found[np.where(still, texel, 0)], moving[self.layer])
+        self.kinetic = np.where(still, nearest, moving[self.layer])
+        self._light = _light_on(baked, face) if baked.plan.bake else None
+        # What moving objects change: the sun on the faces (n,), and all that the faces reflect (n, K).
+        self._shade, self._added = np.zeros(len(face)), np.zeros((len(face), baked.plan.spectrum.channels))
+        if self._view.states and baked.faces is not None:
+            outgoing, mi = baked.device.layers(self._view.pose, self._view.states)[0].outgoing, baked.geometry.mi
+            assert outgoing.faces is not None
+            now = np.stack([np.array(each) for each in outgoing.faces.at(mi.UInt32(aligned(face, np.uint32)))], axis=1)
+            self._shade, self._added = baked.device.shaded(self._view.states)[face], now - baked.faces[face]
 
     def emissivity(self, number: int) -> float:
         """Return the emissivity of the surface that a ray hits in the band, at REFERENCE_K and at its angle."""
@@ -191,63 +202,62 @@ class _Rays:
         return float(material.band_emissivity(*band, REFERENCE_K, cosine))
 
     def leaving(self, number: int) -> Floats:
-        """Return what leaves towards a ray in each channel, (4, K): emission, reflected sky, sun and surroundings."""
-        baked, spectrum = self._baked, self._baked.plan.spectrum
-        parts = np.zeros((4, spectrum.channels))
+        """Return what reaches the camera of light that leaves towards a ray, (4,) [W m⁻² sr⁻¹]: emission, reflected
+        sky, sun and surroundings."""
         if not self.valid[number]:
-            return parts
+            return np.zeros(4)
+        baked, weight, lights = self._baked, self.weight[number], np.zeros(3)
+        plan, total = baked.plan, float(self._shown[number] @ weight)
+        material, kelvin = baked.scene.materials[self.kind[number]], float(self.kinetic[number])
         if self._mirror[number]:
-            material, cosine = baked.scene.materials[self.kind[number]], float(self.cosine[number])
+            cosine = float(self.cosine[number])
 
             def emissivity(wavelength: Floats) -> Floats:
                 return material.emissivity_at_angle(wavelength, cosine)
 
-            parts[0] = spectrum.emitted_at(emissivity, float(self.kinetic[number]), baked.plan.band_um)
-            parts[2] = self._glint[number]
-            parts[1 if self._sky[number] else 3] = self._shown[number] - parts[0] - parts[2]
-            return parts
-        if self.layer[number]:
-            emits = baked.scene.materials[self.kind[number]].emissivity_at
-            parts[0] = spectrum.emitted_at(emits, float(self.kinetic[number]), baked.plan.band_um)
+            emitted = plan.spectrum.emitted_at(emissivity, kelvin, plan.band_um) @ weight
+            lights[1] = self._glint[number] @ weight
+            lights[0 if self._sky[number] else 2] = total - emitted - lights[1]
+        elif self.layer[number]:
+            emitted = plan.spectrum.emitted_at(material.emissivity_at, kelvin, plan.band_um) @ weight
         else:
-            texel, weight = self._texel[number], self._weight[number]
-            parts[0] = self._emitted(texel, weight)
-            if baked.plan.bake:
-                parts[1:3] = self._reflected(int(self.face[number]), texel, weight)
-        parts[3] = self._shown[number] - parts[:3].sum(axis=0)
-        return parts
+            emitted = self._emitted(number) @ weight
+            if self._light is not None:
+                reflects = np.tensordot(self._weight[number], plan.spectrum.reflected[self._kinds[number]], 1)
+                lights = self._moved(number, self._light[:, number] @ (weight @ reflects))
+        reflected, lights = max(total - float(emitted), 0.0), np.maximum(lights, 0.0)
+        shares = lights / lights.sum() if lights.any() else np.array([0.0, 0.0, 1.0])
+        return np.array([total - reflected, *(reflected * shares)])
 
-    def _emitted(self, texel: NDArray[Any], weight: Floats) -> Floats:
-        """Emission of texels of the static scene, weighted, (K,)."""
-        plan, scene = self._baked.plan, self._baked.scene
-        material, kelvin = (flat(scene.surfaces, name)[texel] for name in ("material", "temperature"))
+    def _moved(self, number: int, lights: Floats) -> Floats:
+        """Reflected sky, sun and surroundings (3,) with what moving objects send and hide, which is the sun's by its
+        shadow; other light that they hide is sky and surroundings alike."""
+        sky, sun, surroundings = lights
+        around, added = self._baked.environment.sun, float(self._added[number] @ self.weight[number])
+        lit = 0.0 if around is None else float(around.lit[self.face[number]])
+        taken = sun * min(self._shade[number] / lit, 1.0) if lit > 0.0 else 0.0
+        added += taken
+        kept = max(1.0 + min(added, 0.0) / max(sky + surroundings, 1e-300), 0.0)
+        return np.array([kept * sky, sun - taken, kept * surroundings + max(added, 0.0)])
+
+    def _emitted(self, number: int) -> Floats:
+        """Emission of the texels of the static scene that a ray reads, (K,)."""
+        plan, materials = self._baked.plan, self._baked.scene.materials
+        kinds, warm, weight = self._kinds[number], self._warm[number], self._weight[number]
         total = np.zeros(plan.spectrum.channels)
-        for kind in np.unique(material):
-            here = material == kind
-            warm, emits = kelvin[here], scene.materials[kind].emissivity_at
-            grid, table = plan.spectrum.emitted(emits, float(warm.min()), float(warm.max()), plan.band_um)
-            total += [weight[here] @ np.interp(warm, grid, channel) for channel in table.T]
+        for kind in np.unique(kinds):
+            here = kinds == kind
+            limits = float(warm[here].min()), float(warm[here].max())
+            grid, table = plan.spectrum.emitted(materials[kind].emissivity_at, *limits, plan.band_um)
+            total += [weight[here] @ np.interp(warm[here], grid, channel) for channel in table.T]
         return total
 
-    def _reflected(self, face: int, texel: NDArray[Any], weight: Floats) -> Floats:
-        """Sky and sun that texels and the correction of their face reflect, (2, K)."""
-        baked = self._baked
-        number, share = baked.samples.around(face)
-        texels, weights = np.concatenate([texel, number]), np.concatenate([weight, -share])
-        count, covers = baked.geometry.face_count, baked.geometry.face_of_texel
-        cover = np.array(dr.gather(type(covers), covers, type(covers)(aligned(texels, np.uint32))))
-        # A texel without a face has the mean light, which is taken to be split as on this face.
-        light = _outside(baked, np.append(np.where(cover < count, cover, face), face))
-        reflected = baked.plan.spectrum.reflected[flat(baked.scene.surfaces, "material")[texels]]
-        own = np.einsum("t,tkn,stn->sk", weights, reflected, light[:, :-1])
-        return own + np.einsum("t,tkn,sn->sk", share, reflected[len(texel) :], light[:, -1])
 
-
-def _outside(baked: LoadedLight, faces: NDArray[np.intp]) -> Floats:
-    """Light of the sky and of the sun on faces (n,) at each node, (2, n, N) [W m⁻² sr⁻¹]."""
-    around, transport = baked.environment, baked.transport
-    assert transport is not None
+def _light_on(baked: LoadedLight, faces: NDArray[np.integer]) -> Floats:
+    """Light of the sky, the sun and the surroundings on faces (n,) at each node, (3, n, N) [W m⁻² sr⁻¹]."""
+    around, transport, incident = baked.environment, baked.transport, baked.solved.incident
+    assert transport is not None and incident is not None
     up = transport.up[faces].sum(axis=1, dtype=np.int64) / (2.0 * transport.rays)
     sky = around.light(up, np.zeros(len(faces)), faces)
     sun = np.zeros_like(sky) if around.sun is None else around.sun.on(faces)
-    return np.stack([sky, sun])
+    return np.stack([sky, sun, np.maximum(incident[faces] - sky - sun, 0.0)])

@@ -164,7 +164,7 @@ class TiledRenderer(Renderer):
             if self._made is None or self._made[0] != cell:
                 # Gigabytes: the former one goes first.
                 self._made = None
-                _give_memory_back()
+                give_memory_back()
                 self._made = cell, *self._renderer_of(cell)
                 if cell in self._next:
                     self.loader.read_ahead(self.tiles(self._next[cell]))
@@ -254,7 +254,13 @@ class TiledRenderer(Renderer):
         """Refuse what needs the rays between surfaces, which tiles do not keep."""
         raise self.scene.not_on_tiles("the parts of a pixel's radiance")
 
-    def texels(self, pose: ArrayLike, time_s: float = 0.0, objects: "Objects | None" = None) -> NDArray[np.int64]:
+    def heat_terms(self) -> dict[str, NDArray[np.float32]] | None:
+        """Refuse what a run keeps of all texels, which are solved tile by tile."""
+        raise self.scene.not_on_tiles("the terms of the heat balance")
+
+    def texels(
+        self, pose: ArrayLike, time_s: float = 0.0, objects: "Objects | None" = None, static: bool = False
+    ) -> NDArray[np.int64]:
         """Refuse numbers of texels, which differ from cell to cell."""
         raise self.scene.not_on_tiles("numbers of texels")
 
@@ -283,7 +289,7 @@ class TiledRenderer(Renderer):
         return replace(view, to_scene=between(there, frame))
 
 
-def _give_memory_back() -> None:
+def give_memory_back() -> None:
     """Free what nothing refers to, and give it back to the system: the C library of Linux keeps 0.3 GB for later."""
     gc.collect()
     dr.flush_malloc_cache()
