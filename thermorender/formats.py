@@ -6,6 +6,7 @@ import gzip
 import io
 import json
 import os
+import re
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -29,6 +30,7 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
 # Deflate writes at most 1032 bytes for one, and a byte has at most 8 pixels. Huffman codes of JPEG reach less.
 _PIXELS_PER_BYTE = 8 * 1032
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 
 
 # --- text -------------------------------------------------------------------------------------------------------
@@ -90,7 +92,6 @@ def csv_rows(text: str, strict: bool = True) -> list[list[str]]:
     quotation marks.
     """
     import csv
-    import re
 
     first, _, rest = text.partition("\n")
     stated = re.fullmatch(r'"?sep=([,;\t|])"?', first.strip(" \r"), re.IGNORECASE)
@@ -106,10 +107,9 @@ def csv_rows(text: str, strict: bool = True) -> list[list[str]]:
         raise csv.Error(f"row {len(rows) + 1}: {error}") from None
     if mark == ",":
         return rows
-    decimal = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
     if any(re.fullmatch(r"[-+]?\d*\.\d+(?:[eE][-+]?\d+)?", cell) for row in rows for cell in row):
         return rows
-    return [[cell.replace(",", ".") if decimal.fullmatch(cell) else cell for cell in row] for row in rows]
+    return [[cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in row] for row in rows]
 
 
 def _separator(text: str) -> str:
@@ -121,9 +121,12 @@ def _separator(text: str) -> str:
     head = list(itertools.islice(lines, 2))
     best, most = ",", 1
     for mark in ",;\t|":
-        counts = {len(row) for row in csv.reader(head, delimiter=mark)}
-        # Decimal commas may number as many as the cells.
-        if len(counts) == 1 and max(counts) >= max(most, 2):
+        cells = list(csv.reader(head, delimiter=mark))
+        counts = {len(row) for row in cells}
+        # Decimal commas may number as many as the cells, or more where there are no headings.
+        last = [cell.strip() for row in cells[-1:] for cell in row if "," in cell]
+        all_decimal = mark != "," and best == "," and all(map(_DECIMAL_COMMA.fullmatch, last))
+        if len(counts) == 1 and max(counts) >= (2 if all_decimal else max(most, 2)):
             best, most = mark, max(counts)
     if most == 1 and head:
         best = next((mark for mark in ";\t|" if mark in head[0] and "," not in head[0]), ",")

@@ -1,9 +1,11 @@
 """Thermal properties of materials: the shipped ones against published numbers, and the text of every error."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import solve_banded
 
 from scenes import write_terrain
 from thermorender.apps.material_tables.check import check
@@ -111,6 +113,35 @@ def test_shipped_tables_belong_to_materials_and_are_in_canonical_form():
     assert set(thermals) == set(LIBRARY) | beneath(thermals) - {"", *ENDS}
     for name, thermal in thermals.items():
         assert (SHIPPED / "thermal" / f"{name}.csv").read_text("utf-8") == table_text(thermal), name
+
+
+def test_the_daily_wave_falls_to_1_over_e_at_the_penetration_depth():
+    """Against finite differences of the heat equation with a wave of 24 h at the surface."""
+    for name in ("soil_loam", "granite", "snow"):
+        thermal = LIBRARY[name].thermal
+        depth = thermal.diurnal_depth_m
+        step, count = depth / 200.0, 4000
+        # k T'' = i ω ρ c T, with T = 1 at the surface and 0 far below.
+        wave = 2j * np.pi / 86400.0 * thermal.heat_capacity_j_m3_k * step**2 / thermal.conductivity_w_m_k
+        bands = np.array([np.ones(count), np.full(count, -2.0 - wave), np.ones(count)])
+        right = np.zeros(count, complex)
+        right[0] = -1.0
+        amplitude = np.abs(solve_banded((1, 1), bands, right))
+        assert amplitude[199] == pytest.approx(np.exp(-1.0), rel=1e-4)
+    assert LIBRARY["water"].thermal.diurnal_depth_m is None
+
+
+def test_resistances_are_those_of_iso_6946():
+    """A flat roof by its tables: 8 mm of bitumen, 14 cm of insulation, 20 cm of concrete, and a film of 0.13."""
+    roof = LIBRARY["roof_flat_membrane"].thermal
+    assert [each.resistance_m2_k_w for each in roof.layers] == pytest.approx([0.008 / 0.23, 0.14 / 0.035, 0.2 / 2.3])
+    assert roof.resistance_to_air_m2_k_w == pytest.approx(0.034783 + 4.0 + 0.086957 + 0.13, abs=1e-5)
+    assert LIBRARY["roof_tile_loft"].thermal.resistance_to_air_m2_k_w == pytest.approx(0.018 + 0.13)
+    assert [each.resistance_m2_k_w for each in LIBRARY["ice"].thermal.layers][1:] == [None, None]
+    assert LIBRARY["grass_green"].thermal.resistance_to_air_m2_k_w is None
+    bark = LIBRARY["bark"].thermal
+    with_leaves = replace(bark, skin_conductance_w_m2_k=10.0)
+    assert with_leaves.resistance_to_air_m2_k_w - bark.resistance_to_air_m2_k_w == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("name", list(ADMITTANCE))

@@ -68,16 +68,22 @@ def read_text(path: str | Path) -> str:
 def read_table(path: str | Path, columns: Sequence[str]) -> Rows:
     """Return the rows of a CSV file as `parsed_table` does; its first fault is an error."""
     _, rows, faults = parsed_table(read_text(path), columns)
+    refuse(path, faults)
+    return rows
+
+
+def refuse(path: str | Path, faults: Sequence[Fault]) -> None:
+    """Raise the first fault of a table."""
     for row, sentence in faults:
         raise ThermorenderError(f"{path}, row {row}: {sentence}" if row else f"{path}, {sentence}")
-    return rows
 
 
 def parsed_table(text: str, columns: Sequence[str]) -> tuple[list[str], Rows, list[Fault]]:
     """Return (column names, rows as (row number in the spreadsheet, {column: stripped text}), faults) of a CSV text.
 
     The first row has the names, with at least `columns`, each once. Empty rows are skipped, and additional columns are
-    allowed; cells beyond the last heading are not.
+    allowed; cells beyond the last heading are not. Numbers without headings, where none are required, are in column_1,
+    column_2….
     """
     faults: list[Fault] = []
     try:
@@ -85,20 +91,22 @@ def parsed_table(text: str, columns: Sequence[str]) -> tuple[list[str], Rows, li
     except csv.Error as error:
         advice = "close its quotation marks, or save the file as 'CSV UTF-8' in the spreadsheet"
         return [], [], [(None, f"is not CSV ({error}); {advice}")]
-    header = table[0] if table else []
+    first = next((k for k, cells in enumerate(table) if any(cells)), 0)
+    header, first = (table[first], first + 1) if table else ([], 1)
+    if not columns and any(header) and all(map(is_decimal, filter(None, header))):
+        width = max(k for cells in table for k, cell in enumerate(cells, start=1) if cell)
+        header, first = [f"column_{k}" for k in range(1, width + 1)], first - 1
     missing = [column for column in columns if column not in header]
     if missing:
         found = shortened(" ".join(", ".join(header).split())) or "nothing"
-        lacks = (
-            f"row 1 lacks column {', '.join(missing)} (found: {found}); the first row must hold {', '.join(columns)}"
-        )
+        lacks = f"row {first} lacks column {', '.join(missing)} (found: {found}); it must hold {', '.join(columns)}"
         return header, [], [*faults, (None, lacks)]
     twice = [column for column in dict.fromkeys(header) if column and header.count(column) > 1]
     if twice:
-        holds = f"row 1 holds column {shortened(twice[0])} twice; rename or delete one of them"
+        holds = f"row {first} holds column {shortened(twice[0])} twice; rename or delete one of them"
         return header, [], [*faults, (None, holds)]
     rows: Rows = []
-    for number, cells in enumerate(table[1:], start=2):
+    for number, cells in enumerate(table[first:], start=first + 1):
         if any(cell.strip() for cell in cells):
             if sentence := beyond(header, cells):
                 faults.append((number, sentence))
@@ -122,6 +130,14 @@ def decimal(text: str) -> float:
     if "_" in text or not text.isascii():
         raise ValueError
     return float(text)
+
+
+def is_decimal(text: str) -> bool:
+    """Return whether `decimal` reads a text as a finite number."""
+    try:
+        return bool(np.isfinite(decimal(text)))
+    except ValueError:
+        return False
 
 
 def number_in_cell(path: str | Path, row: int, column: str, text: str, low: float, high: float, advice: str) -> float:

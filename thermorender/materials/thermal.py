@@ -20,12 +20,15 @@ from thermorender.units import ZERO_CELSIUS_K
 THERMAL_COLUMNS = ("property", "value", "uncertainty", "source")
 CHOSEN = "chosen:"
 COVERS = ("bare", "leaves", "water", "snow")
-# What may be beneath besides a material: indoor air through a film, outdoor air under a sheet, and outdoor air in a
-# ventilated cavity or loft.
-ENDS = ("inside", "outside", "ventilated")
+# What may be beneath besides a material, with the conductance of its film: still indoor air, and moving outdoor air
+# under a sheet: ISO 6946:2017, table 7 [W m⁻² K⁻¹]. The face above outdoor air in a well ventilated cavity or loft has
+# the resistance of still air (6.9.4).
+FILMS = {"inside": 1.0 / 0.13, "outside": 1.0 / 0.04, "ventilated": 1.0 / 0.13}
+ENDS = tuple(FILMS)
 # Soils whose moisture follows the weather: `physics.moisture.TEXTURES`.
 SOILS = tuple(TEXTURES)
 
+_DAY_S = 86400.0
 _SHARE = "give a share, 0.3 for 30 %"
 # Limits of every number and advice for values outside; wide enough for aerogel, gold, a forest and a deep lake.
 NUMBERS = {
@@ -93,6 +96,37 @@ class Thermal:
     def inertia(self) -> float:
         """Thermal inertia of the layer, √(kρc) [J m⁻² K⁻¹ s^-½]."""
         return float(np.sqrt(self.conductivity_w_m_k * self.heat_capacity_j_m3_k))
+
+    @property
+    def diurnal_depth_m(self) -> float | None:
+        """Depth at which the daily temperature wave is 1/e of that at the surface, √(k P / (π ρ c)) with P of 24 h [m].
+
+        It is the periodic penetration depth of EN ISO 13786:2017. None for water, which is stirred.
+        """
+        if self.cover == "water":
+            return None
+        return float(np.sqrt(self.conductivity_w_m_k * _DAY_S / (np.pi * self.heat_capacity_j_m3_k)))
+
+    @property
+    def resistance_m2_k_w(self) -> float | None:
+        """Thermal resistance of the layer, thickness over conductivity [m² K W⁻¹]; None for an unlimited layer, and for
+        water, which is stirred.
+        """
+        if self.thickness_m is None or self.cover == "water":
+            return None
+        return self.thickness_m / self.conductivity_w_m_k
+
+    @property
+    def resistance_to_air_m2_k_w(self) -> float | None:
+        """Thermal resistance from the radiating surface to the air behind the last layer, with that air's film
+        [m² K W⁻¹]; None if an unlimited layer or water is below.
+        """
+        parts = [each.resistance_m2_k_w for each in self.layers]
+        known = [each for each in parts if each is not None]
+        if len(known) < len(parts):
+            return None
+        skin = 1.0 / self.skin_conductance_w_m2_k if self.skin_conductance_w_m2_k else 0.0
+        return skin + sum(known) + 1.0 / FILMS[self.layers[-1].beneath]
 
     @property
     def chosen(self) -> tuple[str, ...]:

@@ -167,8 +167,13 @@ def test_check_of_single_files(tmp_path):
     assert found(path) == []
     path.write_text("wavelength_um,n,k\n7,1.3,-1\n14,1.2,0.1\n")
     assert "row 2: k=-1 is not within 0…1000" in found(path)[0]
-    path.write_text("lambda,eps\n7,1\n")
-    assert "row 1 holds lambda, eps; it must hold one of wavelength_um" in found(path)[0]
+    path.write_text("lambda,counts\n7,1\n")
+    assert "row 1 holds lambda, counts; it must hold one of wavelength_um" in found(path)[0]
+    path.write_text("lambda;eps\n7,0;4,5\n14,0;5,5\n")
+    assert found(path) == [
+        "note   own.csv: units follow from the values, as in the headings wavelength_um, emissivity_percent; write "
+        "these above the columns"
+    ]
     path.write_text("wavelength,A001,A002\n" + "".join(f"{w},0.9,{0.9 + (w == 9.0)}\n" for w in WAVELENGTH))
     assert len(found(path)) == 1 and "row 22: A002=1.9 is not within 0…1" in found(path)[0]
     path = tmp_path / "rock.txt"

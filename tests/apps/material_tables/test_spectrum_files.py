@@ -146,7 +146,7 @@ def test_samples_without_usable_emissivity_are_refused(tmp_path):
 
     refused(r"less than two steps of 0.05 µm in common within 3–15 µm", wavelength=np.linspace(0.4, 2.5, 99))
     refused(r"measured as 'Bidirectional'; .* leave the sample out", measurement="Bidirectional")
-    refused(r"has reflectance -0.5 % at .* outside 0…100 % at", percent=-0.5)
+    refused(r"has reflectance -0.5 %, emissivity 1.005, at .* outside 0…100 % at", percent=-0.5)
     refused(r"no sample of material 'rock' covers 0.42–2.5 µm.*give an assumed value", solar=None)
     with pytest.raises(ThermorenderError, match=r"b.txt does not exist; order the spectrum"):
         read_ecostress(tmp_path / "b.txt")
@@ -235,7 +235,7 @@ def test_two_column_tables_state_their_units(tmp_path, header, rows):
 @pytest.mark.parametrize(
     ("text", "column", "words"),
     [
-        ("um,eps\n7,0.9\n14,0.9\n", None, r"row 1 holds um, eps; the headings must be one of wavelength_um, wave"),
+        ("um,e\n7,0.9\n14,0.9\n", None, r"row 1 holds um, e; the headings must be one of wavelength_um, wave"),
         (
             "/*** A spectrometer ***/\nname= a\nunits= Radiance, Radiance\n350.0  1.0  2.0  50.0\n",
             None,
@@ -281,3 +281,86 @@ def test_selection_accepts_bare_file_names_only(tmp_path):
     selection.write_text(header + "rock,b.txt,Rock,1,2,3,0.5,300,\n")
     with pytest.raises(ThermorenderError, match=r"b.txt is in none of .*; add the folder that holds it"):
         read_selection(selection, [tmp_path])
+
+
+# --- pasted from a spreadsheet ---------------------------------------------------------------------------------------
+
+# The same spectrum each time: (text, what the reader says of it).
+PASTED = [
+    ("wavelength_um\temissivity\n7\t0.04\n10\t0.045\n14\t0.05\n", "3 rows, 7–14 µm, emissivity 0.04–0.05"),
+    ("7\t0.04\n10\t0.045\n14\t0.05\n", "3 rows, 7–14 µm, emissivity 0.04–0.05"),
+    ("7\t4\n10\t4.5\n14\t5", "3 rows, 7–14 µm, percent read as emissivity 0.04–0.05"),
+    ("7,0;0,04\n10,0;0,045\n14,0;0,05\n", "3 rows, 7–14 µm, emissivity 0.04–0.05"),
+    ("7,0\t4,0\n10,0\t4,5\n14,0\t5,0\n", "3 rows, 7–14 µm, percent read as emissivity 0.04–0.05"),
+    ("7,0   4,0\n10,0  4,5\n14,0  5,0\n", "3 rows, 7–14 µm, percent read as emissivity 0.04–0.05"),
+    ("\n\n7000;0,04;;\n;;;\n10000;0,045;;\n14000;0,05;;\n", "3 rows, 7–14 µm, nm read as µm and emissivity 0.04–0.05"),
+    ("\ufeffWavelength (µm);Emissivity [%]\r\n7,0;4,0\r\n10,0;4,5\r\n14,0;5,0\r\n",
+     "3 rows, 7–14 µm, percent read as emissivity 0.04–0.05"),
+    ("lambda,eps,\n14,0.05,\n10,0.045,\n7,0.04,\n", "3 rows, 7–14 µm, emissivity 0.04–0.05"),
+    ("λ / nm\tε(λ)\n7000\t0.04\n10000\t0.045\n14000\t0.05\n",
+     "3 rows, 7–14 µm, nm read as µm and emissivity 0.04–0.05"),
+    ("Wavelength\tSpectral emissivity\tstd\n7\t0.04\t0.01\n10\t0.045\t0.01\n14\t0.05\t0.01\n",
+     "3 rows, 7–14 µm, emissivity 0.04–0.05; std not used"),
+    ("wavelength [microns];R [%]\n7;96\n10;95,5\n14;95\n",
+     "3 rows, 7–14 µm, reflectance in percent read as emissivity 0.04–0.05"),
+    ("Wavelength (um),Reflectance\n7,0.96\n10,0.955\n14,0.95\n",
+     "3 rows, 7–14 µm, reflectance read as emissivity 0.04–0.05"),
+    (f"{1e4 / 7!r}\t4\n1000\t4.5\n{1e4 / 14!r}\t5\n",
+     "3 rows, 7–14 µm, cm⁻¹ and percent read as µm and emissivity 0.04–0.05"),
+    (f"Wavenumber (cm⁻¹)\tEmissivity (-)\n{1e4 / 7!r}\t0.04\n1000\t0.045\n{1e4 / 14!r}\t0.05\n",
+     "3 rows, 7–14 µm, cm⁻¹ read as µm and emissivity 0.04–0.05"),
+    ("7\t0.04\n10\t0.045\n10\t0.045\n14\t0.05\n",
+     "3 rows, 7–14 µm, emissivity 0.04–0.05; 1 repeated rows left out"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "words"), PASTED)
+def test_a_spectrum_from_a_spreadsheet_is_read_and_said_in_words(tmp_path, text, words):
+    path = tmp_path / "pasted.csv"
+    path.write_bytes(text.encode())
+    sample = read_sample(path)
+    np.testing.assert_allclose(sample.wavelength_um, [7.0, 10.0, 14.0], rtol=1e-12)
+    np.testing.assert_allclose(1.0 - sample.reflectance, [0.04, 0.045, 0.05], rtol=1e-9)
+    assert sample.words == words
+    # What follows from the values stays with the material.
+    made = from_samples([sample], "foil", solar_absorptance=0.1)
+    assert ("pasted.csv read as 3 rows" in made.note) == sample.inferred
+    assert not [each for each in check(path) if each.fault and "gap" not in each.text and "repeats" not in each.text]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("7\t0.9\n10\t4\n", "the second column runs over 0.9–4, and 1 of 2 rows exceed 1; write emissivity_percent"),
+        ("lambda,emissivity\n7,0.9\n10,1.2\n", "emissivity runs over 0.9–1.2, and 1 of 2 rows exceed 1"),
+        ("7\t95\n10\t950\n", r"the second column runs up to 950, but is a share 0…1 or 0…100 percent"),
+        ("3000\t0.9\n5000\t0.9\n", "the first column runs over 3000–5000 without a unit; write wavelength_um, wave"),
+        ("600\t0.9\n15000\t0.9\n", "the first column runs over 600–15000 without a unit"),
+        ("50\t0.9\n500\t0.9\n", "the first column runs over 50–500 without a unit"),
+        ("lambda,eps\n50,0.9\n500,0.9\n", "lambda runs over 50–500 without a unit"),
+        ("7,0,0,04\n10,0,0,045\n", "has numbers in 4 columns without headings; give two, of wavelength and emissivity"),
+        ("7\t0.9\t0.01\n8\t0.9\t0.01\n", "has numbers in 3 columns without headings"),
+        ("7\n8\n", "has numbers in 1 column without headings"),
+        ("7\t0.9\n7\t0.8\n9\t0.8\n", "gives wavelength_um=7 twice, with emissivity=0.8 and 0.9; keep one row for each"),
+        ("wavelength (cm-1),eps\n1000,0.9\n800,0.9\n", r"row 1 holds wavelength \(cm-1\), eps; the headings must be"),
+        ("wavelength\teps 1\teps 2\n7\t0.9\t0.8\n", "holds the samples eps 1, eps 2 … eps 2"),
+        ("wavelength\tabsorbance\n7\t0.9\n8\t0.9\n", "row 1 holds wavelength, absorbance; the headings must be"),
+        ("wavelength\temissivity\n7\t0.9\n8\t#N/A\n", "row 3: emissivity='#N/A' is not a number"),
+        ("7,5\t0.9\n8,5\t0.95\n", "row 1 holds 7,5, 0.9 with different decimal marks; write a point in all numbers"),
+        ("wavelength_um,emissivity [1]\n7,4\n14,5\n", "reflectance -300 %, emissivity 4, at 7 µm"),
+    ],
+)  # fmt: skip
+def test_a_spectrum_in_doubt_is_refused_with_its_remedy(tmp_path, text, words):
+    path = tmp_path / "pasted.csv"
+    path.write_text(text, "utf-8")
+    with pytest.raises(ThermorenderError, match=words) as refused:
+        emissivity(path)
+    assert "\\t" not in str(refused.value) and "\t" not in str(refused.value)
+
+
+def test_thousands_of_rows_in_descending_order_are_read(tmp_path):
+    path, wavelength = tmp_path / "long.csv", np.linspace(14.5, 6.5, 8001)
+    path.write_text("".join(f"{w:.3f}\t{90 + w / 10:.4f}\r\n" for w in wavelength))
+    sample = read_sample(path)
+    assert sample.words == "8001 rows, 6.5–14.5 µm, percent read as emissivity 0.907–0.914"
+    assert emissivity(path) == pytest.approx(0.91, abs=1e-6)

@@ -11,14 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.apps.material_tables.from_samples import WANTED_RANGE_UM
-from thermorender.apps.material_tables.samples import (
-    QUANTITIES,
-    WAVELENGTH_UNITS,
-    ecostress_lines,
-    is_ecostress,
-    stated_units,
-)
+from thermorender.apps.material_tables.columns import QUANTITIES, WANTED_RANGE_UM, WAVELENGTH_UNITS, parsed_spectrum
+from thermorender.apps.material_tables.samples import ecostress_lines, is_ecostress, stated_units
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.materials.csv_tables import (
     ANGLE_COLUMN,
@@ -31,6 +25,7 @@ from thermorender.materials.csv_tables import (
     contained,
     decimal,
     gaps,
+    is_decimal,
     parsed_table,
     read_text,
 )
@@ -126,7 +121,7 @@ def _check_spectrum(
     path: Path, where: str, directional: str | None, folder: Path | None = None, samples: str = ""
 ) -> list[Finding]:
     """The findings on a CSV table; with `directional` None its column names determine its kind."""
-    header, rows, findings = _table(folder, path, (), where)
+    header, rows, findings = _table(folder, path, None if directional is None else (), where)
     if directional is None and "property" in header:
         missing = [column for column in THERMAL_COLUMNS if column not in header]
         lacks = f"row 1 lacks column {', '.join(missing)}; it must hold {', '.join(THERMAL_COLUMNS)}"
@@ -229,9 +224,11 @@ def _check_ecostress(path: Path) -> list[Finding]:
 
 
 def _table(
-    folder: Path | None, path: Path, columns: Sequence[str], where: str
+    folder: Path | None, path: Path, columns: Sequence[str] | None, where: str
 ) -> tuple[list[str], Rows, list[Finding]]:
-    """(Column names, rows, findings) of a CSV file, continuing after faults if possible."""
+    """(Column names, rows, findings) of a CSV file, continuing after faults if possible; with `columns` None of a
+    measured spectrum.
+    """
     findings = []
     try:
         text = read_text(path if folder is None else contained(path, folder))
@@ -240,7 +237,15 @@ def _table(
         if not isinstance(error.__cause__, UnicodeDecodeError):
             return [], [], findings
         text = path.read_bytes().decode("latin-1")
-    header, rows, faults = parsed_table(text, columns)
+    if columns is None:
+        header, rows, faults, inferred = parsed_spectrum(text)
+        if inferred:
+            note = (
+                f"units follow from the values, as in the headings {', '.join(header)}; write these above the columns"
+            )
+            findings.append(Finding(False, where, note))
+    else:
+        header, rows, faults = parsed_table(text, columns)
     return header, rows, findings + _of_faults(where, faults)
 
 
@@ -344,7 +349,7 @@ def _spread(where: str, rows: Rows, samples: str) -> list[Finding]:
     if samples.isdigit() and int(samples) > 1 and not any(texts):
         text = f"emissivity_std is empty for {samples} samples; give their standard deviation"
         findings.append(Finding(False, where, text))
-    if samples == "1" and any(text and decimal(text) == 0.0 for text in texts if _is_number(text)):
+    if samples == "1" and any(text and decimal(text) == 0.0 for text in texts if is_decimal(text)):
         text = "emissivity_std is 0 for one sample, whose spread is unknown; leave the column empty"
         findings.append(Finding(False, where, text))
     return findings
@@ -372,10 +377,3 @@ def _coverage(where: str, wavelength: Floats) -> list[Finding]:
 
 def _more(bad: NDArray[np.intp]) -> str:
     return f" (and {bad.size - 1} more)" if bad.size > 1 else ""
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return bool(np.isfinite(decimal(text)))
-    except ValueError:
-        return False

@@ -1,14 +1,16 @@
 """Edits of a library's materials by the texts of their tables, refused in the tables' own sentences."""
 
-from collections.abc import Mapping
-from dataclasses import replace
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.apps.material_tables.from_samples import from_samples, is_refractive_index
+from thermorender.apps.material_tables.from_samples import covers_sunlight, from_samples, is_refractive_index
 from thermorender.apps.material_tables.samples import read_sample
 from thermorender.errors import ThermorenderError
 from thermorender.materials.csv_tables import (
@@ -38,8 +40,14 @@ _NUMBERS = ("solar_absorptance", SOLAR_STD_COLUMN, "temperature_k")
 _TEXTS = ("title", "source", "citation", "licence", "note")
 # Columns of the index that a copy may set.
 _OF_COPY = ("title", "colour_r", "colour_g", "colour_b", *_NUMBERS, ROUGHNESS_COLUMN, "note")
-# Source of thermal values, and begin of the note on others, that an edit sets.
-_SOURCE, _NOTE = f"{CHOSEN} set by hand", "Set by hand: "
+# Source of values that an edit sets, what stands before their source before it, and begin of the note on them.
+_BY_HAND, _BEFORE, _NOTE = "edited by hand", ", before: ", "Set by hand: "
+_EDITED = re.compile(rf"\A(?:{_BY_HAND}|spectrum from .*?){_BEFORE}")
+# Begins of what the note says of spectra.
+_OF_SPECTRUM = (EMISSIVITY, "n and k")
+# What a material takes from its source.
+_SPECTRUM = ("wavelength_um", "emissivity", "emissivity_std", "emissivity_by_angle")
+_SOLAR = ("solar_absorptance", SOLAR_STD_COLUMN)
 
 
 def text_of(material: Material, key: str) -> str:
@@ -48,24 +56,25 @@ def text_of(material: Material, key: str) -> str:
         low, high = float(material.emissivity.min()), float(material.emissivity.max())
         return f"{low:.4g}" if low == high else ""
     if key in PROPERTIES:
-        value = None if material.thermal is None else getattr(material.thermal, key)
-        return f"{value:.6g}" if isinstance(value, float) else str(value or "")
+        return thermal_text(material.thermal, key)
     return str(index_row(material).get(key, ""))
 
 
-def is_chosen(material: Material, key: str) -> bool:
-    """Return whether the value of a property was chosen, not measured."""
-    if material.thermal is not None and key in material.thermal.chosen:
-        return True
-    if key == SOLAR_STD_COLUMN:
-        return material.solar_absorptance_std is None
-    return key == "temperature_k" or f"{key}=" in material.note.partition(_NOTE)[2]
+def thermal_text(thermal: Thermal | None, key: str) -> str:
+    """Return the text of a thermal property; "" without one."""
+    value = None if thermal is None else getattr(thermal, key)
+    return f"{value:.6g}" if isinstance(value, float) else str(value or "")
 
 
-def with_text(library: Mapping[str, Material], name: str, key: str, text: str) -> Mapping[str, Material]:
+def with_text(
+    library: Mapping[str, Material], name: str, key: str, text: str,
+    original: Mapping[str, Material] = MappingProxyType({}),
+) -> Mapping[str, Material]:  # fmt: skip
     """Return a library in which a property of a material has another text; the same object where nothing changes.
 
-    A thermal value also changes in the materials that lie on this one. What was set stands in the note or the source.
+    A thermal value also changes in the materials that lie on this one; `name` may be a layer's that is not a material.
+    The source then says "edited by hand, before: …", and the note what was set. With the values of `original`, a
+    material has its source and note again.
 
     Raises
     ------
@@ -75,22 +84,56 @@ def with_text(library: Mapping[str, Material], name: str, key: str, text: str) -
     allowed = (EMISSIVITY, *PROPERTIES, *_NUMBERS, *_TEXTS)
     if key not in allowed:
         raise ThermorenderError(f"key={key!r} is not a property that a text sets; use one of {', '.join(allowed)}")
-    material, text = find(library, name, "with_text"), text.strip()
+    text = text.strip()
+    if key in PROPERTIES:
+        return with_thermal(library, {name: {key: text}}, original)
+    material = find(library, name, "with_text")
     if text == text_of(material, key):
         return library
-    if key in PROPERTIES:
-        return _with_thermal(library, material, key, text)
     if key == EMISSIVITY:
         grid = material.wavelength_um
-        return {**library, name: with_spectrum(material, grid, np.full(grid.size, share(text)), f"{key}={text}")}
-    row = {column: str(value) for column, value in index_row(material).items()} | {key: text}
-    for fault in parsed_row(row)[1]:
-        raise ThermorenderError(fault)
-    new: dict[str, Any] = {key: text}
-    if key in _NUMBERS:
-        number = decimal(text) if text else None
-        new = {key.removesuffix("_k"): number, "note": _noted(material.note, f"{key}={text}")}
-    return {**library, name: replace(material, **new)}
+        made = with_spectrum(material, grid, np.full(grid.size, share(text)), f"{key}={text}")
+    else:
+        row = {column: str(value) for column, value in index_row(material).items()} | {key: text}
+        for fault in parsed_row(row)[1]:
+            raise ThermorenderError(fault)
+        new: dict[str, Any] = {key: text}
+        if key in _NUMBERS:
+            number = decimal(text) if text else None
+            new = {key.removesuffix("_k"): number, "note": _noted(material.note, f"{key}={text}")}
+            new |= {"source": _edited(material.source)} if key in _SOLAR else {}
+        made = replace(material, **new)
+    return _settled({**library, name: made}, [name], original)
+
+
+def _settled(
+    library: Mapping[str, Material], names: Iterable[str], original: Mapping[str, Material]
+) -> Mapping[str, Material]:
+    """A library in which edited materials have the source that their values ask for; one as in `original` is that."""
+    settled = dict(library)
+    for name in names:
+        material, before = library[name], original.get(name)
+        if before is not None:
+            spectrum = all(_same(material, before, key) for key in _SPECTRUM)
+            same = {key for key in _NUMBERS if _same(material, before, key.removesuffix("_k"))}
+            base = _EDITED.sub("", material.source, 1)
+            if spectrum and same.issuperset(_SOLAR):
+                base = before.source if base == _EDITED.sub("", before.source, 1) else base
+                material = replace(material, source=base)
+            note = _without(material.note, same, spectrum)
+            note = before.note if note.rstrip(".;") == before.note.rstrip(".;") else note
+            material = replace(material, note=note)
+            if all(_same(material, before, each.name) for each in fields(material)):
+                material = before
+        settled[name] = material
+    return settled
+
+
+def _same(one: Material, other: Material, key: str) -> bool:
+    first, second = getattr(one, key), getattr(other, key)
+    if isinstance(first, np.ndarray) and isinstance(second, np.ndarray):
+        return np.array_equal(first, second, equal_nan=True)
+    return bool(first is second or (not isinstance(first, np.ndarray) and first == second))
 
 
 def share(text: str) -> float:
@@ -101,34 +144,83 @@ def share(text: str) -> float:
     return value
 
 
+def _edited(source: str, what: str = _BY_HAND) -> str:
+    """The source of edited values: `what` was done, and the source before all edits."""
+    return f"{what}{_BEFORE}{_EDITED.sub('', source, 1)}"
+
+
 def _noted(note: str, what: str) -> str:
     """A note that says what was set; the latest value of each property counts."""
     key = what.partition("=")[0]
+    # A whole spectrum replaces points that were set before.
+    whole = key == EMISSIVITY or " from " in key
     before, _, set_ = note.partition(_NOTE)
     parts = [each for each in set_.removesuffix(".").split(", ") if each and each.partition("=")[0] != key]
+    parts = [each for each in parts if not (whole and each.startswith(_OF_SPECTRUM))]
     first = f"{before.strip().rstrip('.;')}. " if before.strip() else ""
     return f"{first}{_NOTE}{', '.join([*parts, what])}."
 
 
-def _with_thermal(library: Mapping[str, Material], material: Material, key: str, text: str) -> dict[str, Material]:
-    thermal = _thermal_of(material, {key: text}, _SOURCE)
-    thermals: dict[str, Thermal] = {}
+def _without(note: str, keys: set[str], spectrum: bool) -> str:
+    """A note that does not say that some properties, or the spectrum, were set."""
+    before, _, set_ = note.partition(_NOTE)
+    parts = [each for each in set_.removesuffix(".").split(", ") if each and each.partition("=")[0] not in keys]
+    parts = [each for each in parts if not (spectrum and each.startswith(_OF_SPECTRUM))]
+    return f"{before}{_NOTE}{', '.join(parts)}." if parts else before.strip()
+
+
+def thermal_tables(library: Mapping[str, Material]) -> dict[str, Thermal]:
+    """Return {name: Thermal} of all materials, and of the layers beneath them, which may be no materials."""
+    tables: dict[str, Thermal] = {}
     for each in library.values():
         layers = each.thermal.layers if each.thermal else ()
-        # Layers from the surface down; what lies beneath may be a table without a material.
-        thermals |= dict(zip((each.name, *(layer.beneath for layer in layers)), layers, strict=False))
+        tables |= dict(zip((each.name, *(layer.beneath for layer in layers)), layers, strict=False))
+    return tables
+
+
+def with_thermal(
+    library: Mapping[str, Material], settings: Mapping[str, Mapping[str, str]],
+    original: Mapping[str, Material] = MappingProxyType({}), new: Mapping[str, Thermal] = MappingProxyType({}),
+) -> Mapping[str, Material]:  # fmt: skip
+    """Return a library in which thermal properties have other texts, {material or layer: {property: text}}.
+
+    The same object is returned where nothing changes. `new` are tables of further layers, {name: Thermal}. Sources are
+    as in `with_text`.
+    """
+    tables, before = {**thermal_tables(library), **new}, thermal_tables(original)
+    for name, texts in settings.items():
+        if name not in tables:
+            find(library, name, "with_text")
+        now, first = tables.get(name), before.get(name)
+        texts = {key: text for key, text in texts.items() if text != thermal_text(now, key)}
+        if texts:
+            made = _thermal_of(now, texts, f"{CHOSEN} {_BY_HAND}")
+            source = {key: _source_of(key, made, now, first) if key in texts else text for key, text in
+                      made.source.items()}  # fmt: skip
+            tables[name] = replace(made, source=source)
     try:
-        layered = stacked(thermals | {material.name: thermal}, "")
+        layered = stacked(tables, "")
     except ThermorenderError as error:
         raise ThermorenderError(str(error).partition(": ")[2]) from None
-    return {
-        name: each if each.thermal == layered.get(name) else replace(each, thermal=layered[name])
+    changed = {
+        name: replace(each, thermal=layered[name])
         for name, each in library.items()
+        if name in layered and each.thermal != layered[name]
     }
+    return _settled({**library, **changed}, changed, original) if changed else library
 
 
-def _thermal_of(material: Material, settings: Mapping[str, str], source: str) -> Thermal:
-    thermal, faults = with_values(material.thermal, settings, source)
+def _source_of(key: str, made: Thermal, now: Thermal | None, first: Thermal | None) -> str:
+    """The source of a property that was set in `made`, in a table that was `now` and, before all edits, `first`."""
+    if first is not None and getattr(first, key) == getattr(made, key):
+        return first.source.get(key, made.source[key])
+    known = "" if now is None else now.source.get(key, "")
+    known = known.removeprefix(f"{CHOSEN} {_BY_HAND}").removeprefix(_BEFORE)
+    return f"{CHOSEN} {_BY_HAND}{_BEFORE}{known}" if known else made.source[key]
+
+
+def _thermal_of(before: Thermal | None, settings: Mapping[str, str], source: str) -> Thermal:
+    thermal, faults = with_values(before, settings, source)
     if thermal is None:
         raise ThermorenderError(faults[0])
     return thermal
@@ -137,7 +229,7 @@ def _thermal_of(material: Material, settings: Mapping[str, str], source: str) ->
 def with_spectrum(
     material: Material, wavelength_um: NDArray[np.float64], emissivity: NDArray[np.float64], what: str
 ) -> Material:
-    """Return a Lambertian material with another spectrum; its spread is no longer known.
+    """Return a Lambertian material with another spectrum; its spread is no longer known, and its source says so.
 
     Parameters
     ----------
@@ -157,6 +249,7 @@ def with_spectrum(
         material, wavelength_um=wavelength_um, emissivity=emissivity, assumed_um=(),
         gaps_um=tuple(gaps(wavelength_um)),
         emissivity_std=np.full(wavelength_um.size, np.nan), samples=1, note=_noted(material.note, what),
+        source=_edited(material.source),
     )  # fmt: skip
 
 
@@ -168,20 +261,23 @@ def _refuse_angular(material: Material) -> None:
         )
 
 
-def with_spectrum_of(material: Material, path: str | Path, column: str | None = None, name: str = "") -> Material:
-    """Return a material with the spectrum of a file.
+def with_spectrum_of(
+    material: Material, path: str | Path, column: str | None = None, name: str = ""
+) -> tuple[Material, str]:
+    """Return (a material with the spectrum of a file, what was read in words).
 
     Parameters
     ----------
     material : Material
-        Gives everything but the spectrum.
+        Gives everything but the spectrum, and the solar absorptance where the spectrum does not reach from 0.42 to
+        2.5 µm.
     path : path
         A CSV, SLUM or ECOSTRESS spectrum; or a CSV of n and k: the material then emits by angle, with the roughness of
         `material`.
     column : str, optional
         Sample of a table with several.
     name : str, optional
-        The file in messages and in the note; by default its own name.
+        The file in messages, in the source and in the note; by default its own name.
     """
     path = Path(path)
     name = name or path.name
@@ -189,19 +285,36 @@ def with_spectrum_of(material: Material, path: str | Path, column: str | None = 
         if is_refractive_index(path):
             if column:
                 raise ThermorenderError(f"{name} is a table of n and k and has no sample {column!r}; leave it out")
-            return replace(
-                material, directional="fresnel", samples=1, assumed_um=(),
-                note=_noted(material.note, f"n and k from {name}"), **read_refractive_index(path, material.rms_slope),
+            values = read_refractive_index(path, material.rms_slope)
+            made = replace(
+                material, directional="fresnel", samples=1, assumed_um=(), **values,
+                note=_noted(material.note, f"n and k from {name}"),
+                source=_edited(material.source, f"spectrum from {name}"),
             )  # fmt: skip
+            low, high = made.valid_range_um
+            return made, f"n and k over {low:g}–{high:g} µm; the material emits by angle"
         sample = read_sample(path, column)
-        made = from_samples(
-            [sample], material.name, material.title, material.colour, material.solar_absorptance, material.temperature,
-            source=material.source, citation=material.citation, licence=material.licence,
+        sample = replace(sample, source=sample.source.replace(path.name, name))
+        sunlit = covers_sunlight(sample)
+        found = from_samples(
+            [sample], material.name, material.title, material.colour, None if sunlit else material.solar_absorptance,
+            material.temperature, citation=material.citation, licence=material.licence,
         )  # fmt: skip
     except ThermorenderError as error:
         raise ThermorenderError(str(error).replace(str(path), name).replace(path.name, name)) from None
-    new = with_spectrum(material, made.wavelength_um, made.emissivity, f"emissivity from {name}")
-    return replace(new, source=made.source, citation=made.citation, licence=made.licence) if sample.library else new
+    made = with_spectrum(material, found.wavelength_um, found.emissivity, f"emissivity from {name}")
+    made = replace(made, source=_edited(material.source, f"spectrum from {found.source or name}"))
+    words, used = sample.words, "–".join(f"{end:g}" for end in made.valid_range_um)
+    if f" {used} µm" not in words:
+        words += f"; used over {used} µm"
+    if sunlit:
+        solar = round(found.solar_absorptance, 4)
+        made = replace(
+            made, solar_absorptance=solar, solar_absorptance_std=None,
+            note=_noted(made.note, f"solar_absorptance={solar:g}"),
+        )  # fmt: skip
+        words += f"; solar absorptance {solar:.3g}"
+    return replace(made, citation=found.citation, licence=found.licence) if sample.library else made, words
 
 
 def copy_material(
@@ -236,7 +349,7 @@ def copy_material(
     changed = {key: text for key, text in settings.items() if key in PROPERTIES}
     thermal = known.thermal
     if changed:
-        thermal = _thermal_of(known, changed, f"{CHOSEN} set in a copy of {source}")
+        thermal = _thermal_of(known.thermal, changed, f"{CHOSEN} set in a copy of {source}")
     store(row, spectrum, directory, replace, table_text(thermal) if thermal else None)
 
 

@@ -11,9 +11,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.apps.material_tables.columns import NOISE, WANTED_RANGE_UM
 from thermorender.apps.material_tables.samples import LIBRARIES, Sample, is_ecostress, read_sample
 from thermorender.errors import ThermorenderError
-from thermorender.materials.csv_tables import SOLAR_STD_COLUMN, gaps, number_in_cell, read_table, read_text
+from thermorender.materials.csv_tables import (
+    SOLAR_STD_COLUMN,
+    gaps,
+    number_in_cell,
+    parsed_table,
+    read_table,
+    read_text,
+)
 from thermorender.materials.library import read_library
 from thermorender.materials.material import Material
 from thermorender.materials.store import write_material, write_refractive_index
@@ -27,13 +35,11 @@ SELECTION_COLUMNS = (
     "note",
 )  # fmt: skip
 
-# Range that a table should cover: every LWIR camera's band with a margin.
-WANTED_RANGE_UM = (7.0, 14.0)
 # Range of a table if the samples cover it: from the mid-wave to where samples become few.
 KEPT_RANGE_UM = (3.0, 15.0)
-# Rows from here on are fitted without those below, so that the mid-wave changes no other row. Below, weak samples are
-# noise around zero: a step of the table averages 25 points of up to this reflectance beyond 0…1.
-_SEAM_UM, _NOISE = 3.2, 0.01
+# Rows from here on are fitted without those below, so that the mid-wave changes no other row. Below, a step of the
+# table averages 25 points of up to `NOISE` beyond 0…1.
+_SEAM_UM = 3.2
 STEP_UM = 0.05
 # A spectrum may fall short of the table's ends by this much, a quarter of the finest instrument's resolution (4 cm⁻¹ at
 # 8 µm): SLUM, stated as 8–14 µm, has its first and last points at 8.002 and 13.996 µm.
@@ -68,6 +74,7 @@ def from_samples(
     """
     if not samples:
         raise ThermorenderError(f"material {name!r} has no sample; give at least one spectrum file")
+    read = [f"{sample.source} read as {sample.words}" for sample in samples if sample.inferred]
     samples = [_thermal_part(sample, name) for sample in samples]
     grid, tables = _resampled(samples, name)
     count = np.isfinite(tables).sum(axis=0)
@@ -99,9 +106,10 @@ def from_samples(
         name=name, title=title or samples[0].name, wavelength_um=grid, emissivity=np.nanmean(tables, axis=0),
         emissivity_std=std, colour=(red, green, blue), solar_absorptance=solar_absorptance, temperature=temperature,
         source="; ".join(filter(None, [source, *sources])),
-        citation="; ".join(filter(None, [citation, *(LIBRARIES[key][1] for key in libraries)])),
-        licence="; ".join(filter(None, [licence, *(LIBRARIES[key][2] for key in libraries)])), samples=len(samples),
-        solar_absorptance_std=solar_absorptance_std, note="; ".join(remark for remark in remarks if remark),
+        citation="; ".join(dict.fromkeys(filter(None, [citation, *(LIBRARIES[key][1] for key in libraries)]))),
+        licence="; ".join(dict.fromkeys(filter(None, [licence, *(LIBRARIES[key][2] for key in libraries)]))),
+        samples=len(samples), solar_absorptance_std=solar_absorptance_std,
+        note="; ".join(remark for remark in [*remarks, *read] if remark),
     )  # fmt: skip
 
 
@@ -230,8 +238,7 @@ def is_refractive_index(path: Path) -> bool:
     """Return whether a file is a CSV with columns n and k."""
     if not path.is_file() or is_ecostress(path):
         return False
-    header = read_text(path).partition("\n")[0].split(",")
-    return {"n", "k"} <= {cell.strip() for cell in header}
+    return {"n", "k"} <= set(parsed_table(read_text(path), ())[0])
 
 
 def _common_grid(samples: Sequence[Sample], name: str) -> Floats:
@@ -252,7 +259,7 @@ def _thermal_part(sample: Sample, name: str) -> Sample:
     """Return a sample without the part below a gap, or all noise below 3.2 µm; refuse gaps within 7–14 µm."""
     first = sample.wavelength_um[0]
     short = (sample.wavelength_um >= KEPT_RANGE_UM[0] - SLACK_UM) & (sample.wavelength_um < _SEAM_UM)
-    if np.any(short & (np.abs(sample.reflectance - 0.5) > 0.5 + _NOISE)):
+    if np.any(short & (np.abs(sample.reflectance - 0.5) > 0.5 + NOISE)):
         first = sample.wavelength_um[sample.wavelength_um <= _SEAM_UM][-1]
     for start, end in gaps(sample.wavelength_um):
         if start < WANTED_RANGE_UM[0]:
@@ -269,14 +276,14 @@ def _thermal_part(sample: Sample, name: str) -> Sample:
 def _check_sample(sample: Sample, name: str, first: float, last: float) -> None:
     """Refuse a sample outside 0…1, apart from noise below 3.2 µm, within the table's range."""
     kept = (sample.wavelength_um >= first - SLACK_UM) & (sample.wavelength_um <= last + SLACK_UM)
-    noise = np.where(sample.wavelength_um < _SEAM_UM, _NOISE, 0.0)
+    noise = np.where(sample.wavelength_um < _SEAM_UM, NOISE, 0.0)
     bad = kept & ~((sample.reflectance >= -noise) & (sample.reflectance <= 1.0 + noise))
     if bad.any():
         at = np.flatnonzero(bad)[0]
         raise ThermorenderError(
-            f"sample {sample.source} of material {name!r} has reflectance {100 * sample.reflectance[at]:g} % at "
-            f"{sample.wavelength_um[at]:g} µm, outside 0…100 % at {np.count_nonzero(bad)} wavelengths; leave "
-            "the sample out, or correct its units"
+            f"sample {sample.source} of material {name!r} has reflectance {100 * sample.reflectance[at]:g} %, "
+            f"emissivity {1.0 - sample.reflectance[at]:g}, at {sample.wavelength_um[at]:g} µm, outside 0…100 % at "
+            f"{np.count_nonzero(bad)} wavelengths; leave the sample out, or correct its units"
         )
     inside = sample.reflectance[kept]
     low, high = inside.min(initial=1.0), inside.max(initial=0.0)
@@ -304,8 +311,8 @@ def _on_grid(wavelength: Floats, value: Floats, grid: Floats, last: float | None
     # Everything is linear between nodes, so Simpson's rule integrates products of three exactly.
     points = np.concatenate([low, 0.5 * (low + high), high])
     weights = np.concatenate([high - low, 4.0 * (high - low), high - low]) / 6.0
-    # The midpoint determines the cell; a node may be on either side by rounding.
-    cell = np.tile(((0.5 * (low + high) - grid[0]) / step).astype(int), 3)
+    # The midpoint determines the cell; a node may be on either side by rounding, even of the last row.
+    cell = np.tile(np.minimum((0.5 * (low + high) - grid[0]) / step, size - 2).astype(int), 3)
     share = (points - grid[cell]) / step
     spectrum = np.interp(points, wavelength, value)
 
@@ -351,15 +358,17 @@ def _coverage(grid: Floats, count: NDArray[np.intp]) -> str:
     return "samples: " + ", ".join(f"{count[a]} over {grid[a]:g}–{grid[b - 1]:g} µm" for a, b in parts)
 
 
+def covers_sunlight(sample: Sample) -> bool:
+    """Return whether a sample covers sunlight, 0.42–2.5 µm, for a solar absorptance."""
+    known = sample.sunlight_um
+    return bool(known.size and known[0] <= SOLAR_START_UM and known[-1] >= SOLAR_RANGE_UM[1])
+
+
 def _solar_absorptance(samples: Sequence[Sample], name: str) -> tuple[float, float | None, str]:
     """Return one minus the reflectance weighted with a 5778 K blackbody, its spread or None, and a remark."""
     values, starts = [], []
-    for sample in samples:
-        if not sample.sunlight_um.size or sample.sunlight_um[-1] < SOLAR_RANGE_UM[1]:
-            continue
+    for sample in filter(covers_sunlight, samples):
         start = max(SOLAR_RANGE_UM[0], sample.sunlight_um[0])
-        if start > SOLAR_START_UM:
-            continue
         wavelength = np.linspace(start, SOLAR_RANGE_UM[1], 2001)
         weight = spectral_radiance(wavelength, SUN_TEMPERATURE_K)
         reflectance = np.interp(wavelength, sample.sunlight_um, sample.sunlight_reflectance)

@@ -1,7 +1,7 @@
 """Measured samples from files: ECOSTRESS text, a column of a SLUM table, or a CSV of two columns.
 
 Every file becomes hemispherical reflectance over ascending wavelength in µm. The file itself must state quantity and
-unit; nothing is guessed.
+unit, or allow one only.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -11,14 +11,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.apps.material_tables.columns import QUANTITIES, SHORTEST_UM, WAVELENGTH_UNITS, parsed_spectrum
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.materials.csv_tables import (
     LONGEST_WAVELENGTH_UM,
+    Rows,
     decimal,
     number_in_cell,
-    parsed_table,
     read_table,
     read_text,
+    refuse,
 )
 
 # Library → (its title, citation, licence).
@@ -35,27 +37,19 @@ LIBRARIES = {
     ),
 }
 
-# Column heading of a two-column table → function to µm, or to reflectance [1].
-WAVELENGTH_UNITS = {
-    "wavelength_um": lambda value: value,
-    "wavelength_nm": lambda value: value / 1e3,
-    "wavenumber_cm-1": lambda value: 1e4 / value,
-}
 # Words of an ECOSTRESS header's X Units and Y Units.
 _X_UNITS = (
     (("micromet", "micron", "µm", "(um)"), WAVELENGTH_UNITS["wavelength_um"]),
     (("nanomet", "(nm)"), WAVELENGTH_UNITS["wavelength_nm"]),
     (("wavenumber", "cm-1", "cm^-1", "cm⁻¹", "1/cm"), WAVELENGTH_UNITS["wavenumber_cm-1"]),
 )
+# For the words of a Sample: what is read as µm and as emissivity.
+_UNITS_READ = {"wavelength_nm": "nm", "wavenumber_cm-1": "cm⁻¹"}
+_QUANTITIES_READ = {
+    "emissivity": "", "emissivity_percent": "percent", "reflectance": "reflectance",
+    "reflectance_percent": "reflectance in percent",
+}  # fmt: skip
 _Y_UNITS = ((("percent", "%"), 100.0), (("fraction", "unitless", "0-1", "0 to 1", "share", "decimal"), 1.0))
-# Below this wavelength there are no spectra of surfaces [µm].
-SHORTEST_UM = 0.1
-QUANTITIES = {
-    "emissivity": lambda value: 1.0 - value,
-    "emissivity_percent": lambda value: 1.0 - value / 100.0,
-    "reflectance": lambda value: value,
-    "reflectance_percent": lambda value: value / 100.0,
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +67,17 @@ class Sample:
     # sunlight_um, sunlight_reflectance: (M,) float64 the same in the measured part of the solar range; may be empty
     sunlight_um: NDArray[np.float64]
     sunlight_reflectance: NDArray[np.float64]
+    how: str = ""  # How its numbers became emissivity, as "percent read as "; "" for emissivity
+    rest: str = ""  # What else is to be known of the file, as "; 2 repeated rows left out"
+    inferred: bool = False  # Whether a unit follows from the values, since no heading states it
+
+    @property
+    def words(self) -> str:
+        """What was read, as "61 rows, 7–14 µm, percent read as emissivity 0.04–0.05"."""
+        ends = [f"{1.0 - share:.3g}" for share in (self.reflectance.max(), self.reflectance.min())]
+        low, high = self.wavelength_um[[0, -1]]
+        count, values = self.wavelength_um.size, "–".join(dict.fromkeys(ends))
+        return f"{count} rows, {low:g}–{high:g} µm, {self.how}emissivity {values}{self.rest}"
 
 
 def read_sample(path: str | Path, column: str | None = None) -> Sample:
@@ -90,13 +95,15 @@ def read_sample(path: str | Path, column: str | None = None) -> Sample:
             raise ThermorenderError(f"{path} is one ECOSTRESS spectrum and has no column {column!r}; leave it out")
         return read_ecostress(path)
     text = read_text(path)
-    first = text.partition("\n")[0]
-    if not any(axis.partition("_")[0] in first.lower() for axis in WAVELENGTH_UNITS):
-        raise _other_headings(path, ", ".join(cell.strip() for cell in first.split(",")))
-    header = parsed_table(text, ())[0]
+    header, rows, faults, inferred = parsed_spectrum(text)
+    stated = [[key for key in kind if key in header] for kind in (WAVELENGTH_UNITS, QUANTITIES)]
+    doubtful = any(row is None for row, _ in faults)
+    if not doubtful and not all(stated) and not any("wave" in key.lower() for key in header):
+        raise _other_headings(path, header or [text.strip().partition("\n")[0]])
     if column is not None or (len(header) > 2 and header[0].lower() == "wavelength"):
         return read_slum(path, column)
-    return read_columns(path)
+    refuse(path, faults)
+    return _of_columns(path, header, rows, stated, inferred)
 
 
 def is_ecostress(path: str | Path) -> bool:
@@ -139,6 +146,7 @@ def read_ecostress(path: str | Path) -> Sample:
     return Sample(
         name=header.get("name", path.stem), source=path.name, library="ECOSTRESS", wavelength_um=unique,
         reflectance=reflectance, sunlight_um=unique, sunlight_reflectance=reflectance,
+        how=f"{_QUANTITIES_READ['reflectance_percent' if divisor > 1.0 else 'reflectance']} read as ",
     )  # fmt: skip
 
 
@@ -214,27 +222,33 @@ def read_slum(path: str | Path, column: str | None) -> Sample:
     )
 
 
-def read_columns(path: str | Path) -> Sample:
-    """Return the Sample of a CSV of two columns whose headings state quantity and unit."""
-    path = Path(path)
-    rows = read_table(path, ())
-    header = list(rows[0][1]) if rows else []
-    axes, quantities = ([key for key in kind if key in header] for kind in (WAVELENGTH_UNITS, QUANTITIES))
+def _of_columns(
+    path: Path, header: Sequence[str], rows: Rows, stated: Sequence[Sequence[str]], inferred: bool
+) -> Sample:
+    """The Sample of the rows of a CSV of two columns; `stated` are its headings of wavelengths and of quantities."""
     through = [key for key in header if "transmi" in key.lower()]
     if through:
         raise ThermorenderError(
             f"{path} has a column {through[0]!r}; emissivity is one minus reflectance for opaque samples only, so "
             "leave the sample out, or delete the column if it is 0 throughout"
         )
-    if len(axes) != 1 or len(quantities) != 1:
-        raise _other_headings(path, ", ".join(header))
-    first, second = axes[0], quantities[0]
+    if [len(each) for each in stated] != [1, 1]:
+        raise _other_headings(path, header)
+    first, second = stated[0][0], stated[1][0]
     values = np.array([[_number(path, row, key, cells[key]) for key in (first, second)] for row, cells in rows])
+    pairs = np.unique(values.reshape(-1, 2), axis=0)
+    again = np.flatnonzero(np.diff(pairs[:, 0]) == 0.0)
+    if again.size:
+        one, other = pairs[again[0] : again[0] + 2, 1]
+        raise ThermorenderError(
+            f"{path} gives {first}={pairs[again[0], 0]:g} twice, with {second}={one:g} and {other:g}; keep one row for "
+            "each"
+        )
     with np.errstate(divide="ignore"):
-        wavelength = WAVELENGTH_UNITS[first](values[:, 0])
+        wavelength = WAVELENGTH_UNITS[first](pairs[:, 0])
     order = np.argsort(wavelength)
-    wavelength, reflectance = wavelength[order], QUANTITIES[second](values[order, 1])
-    if len(wavelength) < 2 or np.any(np.diff(wavelength) <= 0.0) or wavelength[0] <= 0.0:
+    wavelength, reflectance = wavelength[order], QUANTITIES[second](pairs[order, 1])
+    if len(wavelength) < 2 or wavelength[0] <= 0.0:
         raise ThermorenderError(
             f"{path} needs at least two rows with different, positive {first}; `thermorender materials check` finds "
             "the fault"
@@ -244,12 +258,19 @@ def read_columns(path: str | Path) -> Sample:
             f"{path} covers {wavelength[0]:g}–{wavelength[-1]:g} µm by its heading {first}, but spectra lie within "
             f"{SHORTEST_UM:g}…{LONGEST_WAVELENGTH_UM:g} µm; correct the heading or the values"
         )
-    return Sample(path.stem, path.name, "", wavelength, reflectance, wavelength, reflectance)
+    unused = [key for key in header if key not in (first, second)]
+    rest = [f"; {len(values) - len(pairs)} repeated rows left out" if len(values) > len(pairs) else ""]
+    rest += [f"; {', '.join(unused)} not used" if unused else ""]
+    how = [_UNITS_READ.get(first, ""), _QUANTITIES_READ[second]]
+    words = f"{' and '.join(filter(None, how))} read as {'µm and ' if how[0] else ''}" if any(how) else ""
+    return Sample(
+        path.stem, path.name, "", wavelength, reflectance, wavelength, reflectance, words, "".join(rest), inferred
+    )
 
 
-def _other_headings(path: Path, found: str) -> ThermorenderError:
+def _other_headings(path: Path, found: Sequence[str]) -> ThermorenderError:
     return ThermorenderError(
-        f"{path}, row 1 holds {shortened(found.strip()) or 'nothing'}; the headings must be one of "
+        f"{path}, row 1 holds {shortened(', '.join(found)) or 'nothing'}; the headings must be one of "
         f"{', '.join(WAVELENGTH_UNITS)} and one of {', '.join(QUANTITIES)}, which state the units"
     )
 
