@@ -7,8 +7,8 @@ from pathlib import Path
 
 from thermorender import files
 
-# Traced light, baked tiles, LOWTRAN7 with its results, searches for leaks, and the tokens of servers.
-CACHED = ("light", "tiles", "lowtran", "leaks", "link")
+# Traced light, baked tiles, LOWTRAN7 with its results, searches for leaks, tokens of servers, and recent scenes.
+CACHED = ("light", "tiles", "lowtran", "leaks", "link", "studio")
 # Largest total size of the files of kinds that grow with use [bytes]; the least recently used are removed first.
 LIMITS = {"light": 4 << 30, "tiles": 32 << 30, "leaks": 64 << 20}
 # Names of their files: a hash of what the content depends on.

@@ -12,7 +12,7 @@ from thermorender.errors import ThermorenderError
 _HOLDS = {
     "light": "traced light of scenes", "tiles": "baked tiles of ground of any size",
     "lowtran": "LOWTRAN7 and its results", "leaks": "searches of data sets for leaks",
-    "link": "tokens of servers",
+    "link": "tokens of servers", "studio": "recent scenes",
 }  # fmt: skip
 
 

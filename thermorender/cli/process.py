@@ -40,7 +40,7 @@ def run(app: typer.Typer, without_arguments: Sequence[str] = ("--help",)) -> NoR
     except (ThermorenderError, OSError, MemoryError) as error:
         if "--debug" in sys.argv[1:]:
             raise
-        _fail(_sentence(error))
+        _fail(sentence(error))
     except (KeyboardInterrupt, typer.Abort):
         status = 130
     if status == 130:
@@ -83,7 +83,7 @@ def _is_unicode(text: str) -> bool:
     return not any("\ud800" <= letter <= "\udfff" for letter in text)
 
 
-def _sentence(error: Exception) -> str:
+def sentence(error: Exception) -> str:
     """The message of an error; one of the operating system gets advice."""
     if isinstance(error, OSError) and error.strerror:
         what = error.filename or "the current folder or the standard output"

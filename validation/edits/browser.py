@@ -30,10 +30,12 @@ _EXACT_EVERY = 7
 # Kept by the page: performance.now() when a picture is in place, by its version, and at the last click.
 _CLOCK = """
 addEventListener('studio-shown', e => (window.shown ??= {})[e.detail.version] ??= performance.now());
+window.exact = () =>
+  document.getElementById('state').textContent === 'exact' && studio.picture.version === studio.latest;
 addEventListener('click', () => (window.clicked = performance.now()), true);
 """
 _SEND = "([name, value]) => { const at = performance.now(); emitEvent(name, value); return at; }"
-_SHOWN = "version => (window.shown ?? {})[version]"
+_SHOWN = "before => studio.latest !== before && (window.shown ?? {})[studio.latest]"
 _HANDLE = "{wavelength: 10.0, value: %.4f, version: studio.version}"
 
 
@@ -82,6 +84,10 @@ class Hand:
         value = _HANDLE % self.random.uniform(0.8, 0.99)
         return self.page.evaluate(f"() => ({_SEND})(['studio_spectrum', {value}])")
 
+    def absorptance(self):
+        """Type a solar absorptance, by which the heat balance changes."""
+        return self.typed("field-solar_absorptance", f"{self.random.uniform(0.3, 0.95):.4f}")
+
     def material(self):
         """Choose another material of a class."""
         given = self.page.locator('[data-testid^="class-"]').first
@@ -94,8 +100,13 @@ class Hand:
 
     def temperature(self):
         """Type the temperature of an object."""
-        test = self.page.locator('[data-testid^="kelvin-"]').first.get_attribute("data-testid")
-        return self.typed(test, f"{self.random.uniform(280.0, 320.0):.3f}")
+        return self.typed(self.stated()[0], f"{self.random.uniform(280.0, 320.0):.3f}")
+
+    def stated(self):
+        """Return the fields of objects with a stated temperature."""
+        fields = self.page.locator('[data-testid^="kelvin-"]')
+        shown = fields.evaluate_all("all => all.map((one) => [one.dataset.testid, one.value])")
+        return [test for test, value in shown if value != "balance"]
 
     def typed(self, test, text):
         """Type into a field; return the time of Enter."""
@@ -107,7 +118,7 @@ class Hand:
 
     def exact(self):
         """Wait until the picture is exact."""
-        self.page.get_by_test_id("state").filter(has_text="exact").wait_for(timeout=_WAIT_MS)
+        self.page.wait_for_function("exact()", timeout=_WAIT_MS)
 
     def last_version(self):
         """Wait until no further edit arrives, and return the version."""
@@ -124,15 +135,16 @@ class Hand:
         """
         if exact:
             self.exact()
-        version = self.page.evaluate("studio.version") + 1
-        if kind in ("emissivity", "spectrum"):
+        optical = kind in ("emissivity", "spectrum", "absorptance")
+        if optical:
             self.choose()
-        tab = "Optical" if kind in ("emissivity", "spectrum") else "Cover"
+        tab = "Optical" if optical else "Cover"
         self.page.get_by_role("tab", name=tab).click()
         self.page.wait_for_timeout(1000.0 * self.random.uniform(0.5, 1.5) * pause_s)
+        before = self.page.evaluate("studio.latest")
         at = getattr(self, kind)()
-        self.page.wait_for_function(_SHOWN, arg=version, timeout=_WAIT_MS)
-        found = [self.page.evaluate(_SHOWN, version) - at]
+        self.page.wait_for_function(_SHOWN, arg=before, timeout=_WAIT_MS)
+        found = [self.page.evaluate(_SHOWN, before) - at]
         if exact:
             self.exact()
             found.append(self.page.evaluate("performance.now()") - at)
@@ -148,10 +160,12 @@ def measured(browser, scene, quality, edits, pause_s, many, limit_s, seed):
         page.wait_for_selector("#frame[data-number]", timeout=_WAIT_MS)
         hand, end = Hand(page, seed), time.monotonic() + limit_s
         kinds = ["emissivity", "spectrum"]
+        if page.get_by_test_id("hour").count():
+            kinds = ["emissivity", "absorptance"]
         page.get_by_role("tab", name="Cover").click()
         page.wait_for_timeout(500)
         kinds += ["material"] * (page.locator('[data-testid^="class-"]').count() > 0)
-        kinds += ["temperature"] * (page.locator('[data-testid^="kelvin-"]').count() > 0)
+        kinds += ["temperature"] * bool(hand.stated())
         times = {kind: [] for kind in kinds}
         for count in range(_FIRST + edits):
             if time.monotonic() > end - 0.4 * limit_s:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import thermorender as tr
-from scenes import write_hut
+from scenes import WEATHER, scene_object, write_balance, write_hut
 from thermorender.apps.material_tables.edit import with_spectrum_of, with_text
 from thermorender.apps.studio.scene_files import SceneFiles
 from thermorender.errors import ThermorenderError
@@ -102,7 +102,7 @@ def test_a_table_of_n_and_k_makes_a_material_emit_by_angle(files, tmp_path):
     with pytest.raises(ThermorenderError, match=r"^nk\.csv, row 2: k=-1 is not within .*k not negative"):
         with_spectrum_of(own, bad)
     document = files.saved.duplicated("glass", "pane")
-    pane = with_spectrum_of(document.library["pane"], path, name="nk.csv")
+    pane = with_spectrum_of(document.library["pane"], path, name="nk.csv")[0]
     document = document.with_material(pane).of_class(1, "pane")
     read = saved(files, document)["pane"]
     for cosine in (1.0, 0.3):
@@ -116,7 +116,7 @@ def test_a_table_of_n_and_k_makes_a_material_emit_by_angle(files, tmp_path):
 def test_gaps_are_those_of_the_new_spectrum(files, tmp_path):
     old = replace(files.saved.library["snow"], gaps_um=((8.0, 9.0),))
     (tmp_path / "a.csv").write_text("wavelength_um,emissivity\n2,0.9\n9,0.8\n20,0.9\n")
-    assert with_spectrum_of(old, tmp_path / "a.csv").gaps_um == ()
+    assert with_spectrum_of(old, tmp_path / "a.csv")[0].gaps_um == ()
 
 
 def test_names_longer_than_a_file_name_are_refused(files):
@@ -178,7 +178,7 @@ def test_a_thermal_value_changes_in_the_materials_that_lie_on_it(files):
     lower = upper.thermal.beneath
     document = files.saved.with_text(lower, "density_kg_m3", "1234")
     assert document.library[upper.name].thermal.below.density_kg_m3 == 1234.0
-    assert document.library[lower].thermal.source["density_kg_m3"] == "chosen: set by hand"
+    assert document.library[lower].thermal.source["density_kg_m3"].startswith("chosen: edited by hand, before: ")
     changed = document.changed(files.saved)
     assert {lower, upper.name} <= set(changed) and len(changed) < len(library)
 
@@ -228,3 +228,13 @@ def test_a_save_planned_before_another_one_was_written_is_refused(files, folder)
 def test_what_a_scene_does_not_have_is_refused_in_one_sentence(files, change, sentence):
     with pytest.raises(ThermorenderError, match=sentence):
         change(files.saved)
+
+
+def test_an_object_that_the_heat_balance_solves_stays_so(tmp_path):
+    warm = scene_object("warm", [2, 2, 1], temperature="balance")
+    folder = write_balance(tmp_path / "scene", WEATHER + warm)
+    files = SceneFiles(tr.load_scene(folder))
+    files.write(files.plan(files.saved.of_class(1, "asphalt").of_object("warm", "granite")))
+    (found,) = tr.load_scene(folder).spec.objects
+    assert (found.material, np.isnan(found.kelvin)) == ("granite", True)
+    assert 'temperature = "balance"' in (folder / "scene.toml").read_text()

@@ -5,17 +5,18 @@ import json
 import shlex
 import threading
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from studio_support import wait_for
 
 import thermorender as tr
 from scenes import write_hut, write_terrain
-from thermorender.apps.studio import ground
+from thermorender.apps.studio import labels
+from thermorender.apps.studio.exports import commands
 from thermorender.apps.studio.session import History, Session
 from thermorender.apps.studio.spectrum import read_spectrum
-from thermorender.apps.studio.view import Pose, View, commands
+from thermorender.apps.studio.view import Pose, View
 from thermorender.errors import ThermorenderError
 from thermorender.render.renderer import Renderer
 
@@ -35,13 +36,6 @@ def session(folder):
 def emissive(name, value):
     """An edit that sets a flat emissivity."""
     return lambda document: document.with_text(name, "emissivity", value)
-
-
-def wait_for(condition, seconds=30.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "nothing happened"
-        time.sleep(0.01)
 
 
 def status_of(headers):
@@ -95,17 +89,37 @@ def test_a_tab_need_not_wait_for_its_own_edits(session):
     edit(0, "0.6", "a")
     history.step(0, -1, "a")
     history.step(1, -1, "a")
-    assert history.document is first and history.version == 4
-    # Another tab has missed these edits, and then the first one those of the other.
+    assert history.document is first and history.version == 0
+    # Another tab that saw version 1 has missed the way back from it.
     with pytest.raises(ThermorenderError, match="another tab has changed the tables since"):
-        edit(0, "0.7", "b")
-    edit(4, "0.7", "b")
-    for version in (0, 3, 4):
+        edit(1, "0.7", "b")
+    edit(0, "0.7", "b")
+    for version in (1, 2):
         with pytest.raises(ThermorenderError, match="another tab has changed the tables since"):
             edit(version, "0.8", "a")
-    edit(5, "0.8", "a")
-    edit(5, "0.9", "a")
-    assert history.version == 7
+    edit(3, "0.8", "a")
+    edit(3, "0.9", "a")
+    assert history.version == 5
+
+
+def test_undo_brings_the_number_of_a_version_back_and_a_new_edit_has_a_new_one(session):
+    history = session.history
+    for version, value in ((0, "0.5"), (1, "0.6")):
+        session.edit(version, value, emissive("asphalt", value))
+    documents = [history.document_of(version) for version in (0, 1, 2)]
+    assert [(version, what, steps) for version, what, steps in history.entries] == [
+        (0, "", -2), (1, "0.5", -1), (2, "0.6", 0)
+    ]  # fmt: skip
+    session.step(2, -2)
+    assert history.version == 0 and history.document is documents[0]
+    session.step(0, 2)
+    assert history.version == 2 and history.document is documents[2]
+    assert not session.step(2, 1)
+    session.step(2, -1)
+    session.edit(1, "0.7", emissive("asphalt", "0.7"))
+    assert [version for version, _, _ in history.entries] == [0, 1, 3]
+    with pytest.raises(ThermorenderError, match="version 2 is no longer there"):
+        history.document_of(2)
 
 
 def test_edits_of_two_threads_do_not_lose_one_another(session):
@@ -250,25 +264,29 @@ def test_a_full_disk_is_one_sentence_and_changes_no_file(session, monkeypatch, t
 
 
 def labelled(session):
-    scene = session.base
+    """Label the middles of both halves of a terrain of rasters."""
+    height, width = session.base.surfaces[0].material.shape
+    texel = np.arange(height * width).reshape(height, width)
     for material, left in (("grass_green", 0.05), ("sand_quartz", 0.55)):
-        corners = [[left, 0.05], [left + 0.4, 0.05], [left + 0.4, 0.95], [left, 0.95]]
-        session.labels.append(ground.labelled(ground.polygon(scene, corners), material))
+        rows, columns = (slice(*(round(side * share) for share in part)) for side, part in (
+            (height, (0.05, 0.95)), (width, (left, left + 0.4)),
+        ))  # fmt: skip
+        geometry = labels.geometry_of(session.base, texel[rows, columns].ravel())
+        session.labels.append([labels.labelled(each, material) for each in geometry])
 
 
-def test_labels_of_the_map_are_a_file_that_training_reads(session, folder, tmp_path):
+def test_labels_of_the_ground_are_a_file_that_training_reads(session, folder, tmp_path):
     from thermorender.apps.training.material_training import labelled_scene
 
     labelled(session)
-    labels, path = ground.collection(session.base.grid, session.labels), tmp_path / "labels.geojson"
-    path.write_text(json.dumps(labels), "utf-8")
+    features = [feature for each in session.labels for feature in each]
+    made, path = labels.collection(session.base.grid, features), tmp_path / "labels.geojson"
+    path.write_text(json.dumps(made), "utf-8")
     found = labelled_scene(folder, path)
-    np.testing.assert_array_equal(found.material, labelled_scene(folder, labels).material)
+    np.testing.assert_array_equal(found.material, labelled_scene(folder, made).material)
     names = np.array(["", *(found.names[number] for number in (1, 2))])[found.material]
     assert (names[5:27, 3:13] == "grass_green").all() and (names[5:27, 19:29] == "sand_quartz").all()
     assert (names[:, 15:17] == "").all()
-    left, right = (np.array(each) for each in ground.outlines(session.base.grid, session.labels))
-    assert left.min(axis=0) == pytest.approx([0.05, 0.05]) and right.max(axis=0) == pytest.approx([0.95, 0.95])
 
 
 @pytest.mark.slow
@@ -284,23 +302,20 @@ def test_a_map_learned_from_labels_shows_materials_and_their_uncertainty(tmp_pat
     session = Session(tr.Renderer(tr.load_scene(made), "fast"), "fast")
     labelled(session)
     said = []
-    learned = ground.learned_from(session, lambda what, share: said.append((what, share)))
+    learned = labels.learned_from(session, lambda what, share: said.append((what, share)))
     assert {what for what, _ in said} >= {"fitting the networks", "mapping the materials"}
-    level = learned["learned"].level
-    one, other = level[64, [20, 108]]
+    one, other = learned.best[64, [20, 108]]
     assert one != other
-    assert (level[64, [20, 108]] == session.base.surfaces[0].material[64, [20, 108]]).all()
-    assert (level[:, 4:54] == one).mean() > 0.95
-    assert "Standard deviation of the emissivity: mean 0.0" in learned["uncertainty"].words
-    session.learned = learned
-    pictures = {ground.map_picture(session, 100, layer) for layer in ("materials", "learned", "uncertainty")}
-    assert len(pictures) == 3
+    assert (learned.best[64, [20, 108]] == session.base.surfaces[0].material[64, [20, 108]]).all()
+    assert (learned.best[:, 4:54] == one).mean() > 0.95
+    assert learned.std.shape == learned.best.shape and 0.0 < learned.std.mean() < 0.1
+    assert learned.words.startswith("Most probable: grass_green ")
 
     def cancelled(what, share):
         raise ThermorenderError("cancelled")
 
     with pytest.raises(ThermorenderError, match=r"^cancelled$"):
-        ground.learned_from(session, cancelled)
+        labels.learned_from(session, cancelled)
     session.close()
 
 
@@ -347,42 +362,39 @@ def slow_reference(monkeypatch):
 
 
 def test_a_view_that_needs_a_solution_is_not_shown_after_a_later_view(session, monkeypatch):
-    going, _ = slow_reference(monkeypatch)
+    going, solved = slow_reference(monkeypatch)
     renders, shown = session.renders, []
-    before = renders.saved
     one, two = (View(Pose.typed(pose, session.base)) for pose in ("0,-6,10,0,-55,0", "2,-6,10,0,-55,0"))
-    renders.compare_with(session.base)
     renders.start()
-    renders.look("tab", replace(one, mode="difference"), shown.append)
+    renders.look("tab", one, shown.append, (session.base.with_material(grass_green=0.5), "another"))
     wait_for(lambda: renders.frame("tab") is not None)
     renders.look("tab", two, shown.append)
     wait_for(lambda: shown)
     going.set()
-    wait_for(lambda: renders.saved is not before)
-    # The first view is dropped now, before a job.
+    # The first view is dropped, with its solution, before a job.
     assert renders.call(lambda: 7) == 7
-    assert [picture.number for picture in shown] == [1]
+    assert [picture.number for picture in shown] == [1] and solved == []
     assert renders.fetch("tab") is shown[0]
     np.testing.assert_array_equal(renders.frame("tab").pose, two.pose.matrix())
 
 
-def test_two_tabs_with_differences_share_a_solution_and_a_later_save_counts(session, monkeypatch):
+def test_two_tabs_that_compare_with_the_same_scene_share_a_solution_and_a_later_scene_counts(session, monkeypatch):
     going, solved = slow_reference(monkeypatch)
     renders, shown = session.renders, []
-    view = View(Pose.typed("0,-6,10,0,-55,0", session.base), mode="difference")
-    renders.compare_with(session.base)
+    view = View(Pose.typed("0,-6,10,0,-55,0", session.base))
+    first, later = (session.base.with_material(grass_green=value) for value in (0.6, 0.5))
     renders.start()
     for tab in ("one", "two"):
-        renders.look(tab, view, shown.append)
+        renders.look(tab, view, shown.append, (first, "another"))
     wait_for(lambda: renders.frame("two") is not None)
-    later = session.base.with_material(grass_green=0.5)
-    renders.compare_with(later)
+    for tab in ("one", "two"):
+        renders.look(tab, view, shown.append, (later, "a later one"))
     wait_for(lambda: not renders._waiting)
     going.set()
     wait_for(lambda: len(shown) >= 2 and not renders._waiting)
     assert renders.call(lambda: 7) == 7
-    assert renders.saved.scene is later
     assert solved == [later]
+    assert all(picture.title.endswith("minus that of a later one") for picture in shown)
 
 
 def test_a_solution_is_shown_while_a_long_job_goes_on(session, monkeypatch):
@@ -447,3 +459,36 @@ def test_an_edit_during_a_preview_leaves_the_pause_before_the_next_solution(sess
     wait_for(solves)
     time.sleep(0.2)
     assert not begun
+
+
+def test_a_fault_of_an_edit_names_the_version_of_the_edit(session, monkeypatch):
+    """The page would otherwise wait for a picture of that version."""
+    shown, renders = [], session.renders
+
+    def refuses(self, scene, progress=None):
+        raise ThermorenderError("it cannot be previewed")
+
+    monkeypatch.setattr(Renderer, "preview_for", refuses)
+    renders.start()
+    renders.look("tab", View(Pose.typed("0,-6,10,0,-55,0", session.base)), shown.append)
+    wait_for(lambda: shown)
+    session.edit(0, "", emissive("grass_green", "0.85"))
+    wait_for(lambda: len(shown) > 1)
+    assert (shown[-1].notes, shown[-1].version, shown[-1].data) == ("it cannot be previewed", 1, b"")
+
+    def fails(self, scene, progress=None):
+        raise RuntimeError("it cannot be solved")
+
+    monkeypatch.undo()
+    monkeypatch.setattr(Renderer, "solved_for", fails)
+    session.edit(1, "", emissive("grass_green", "0.75"))
+    wait_for(lambda: shown[-1].notes.startswith("the studio failed here (RuntimeError)"))
+    assert shown[-1].version == 2
+
+
+def test_an_edit_that_would_change_the_faces_is_refused_with_what_to_do(session, monkeypatch):
+    other = tr.load_scene("heath/survey")
+    monkeypatch.setattr(session, "_scene_of", lambda document: other)
+    with pytest.raises(ThermorenderError, match=r"changes the faces of the scene.*make it in scene\.toml, and open"):
+        session.edit(0, "", emissive("grass_green", "0.85"))
+    assert session.history.version == 0 and session.scene is session.base

@@ -56,10 +56,25 @@ def square_around(text: str, crs: Any) -> Bounds:
     return x - 0.5 * side, y - 0.5 * side, x + 0.5 * side, y + 0.5 * side
 
 
-def read_heights(path: Path, crs: Any, bounds: Bounds, most: int) -> tuple[NDArray[np.float64], Grid, Bounds]:
+def undeclared_crs(settings: ImportSettings) -> Any:
+    """Return the CRS of files that declare none; None without one."""
+    from rasterio.crs import CRS
+    from rasterio.errors import CRSError
+
+    try:
+        return None if settings.crs is None else CRS.from_user_input(settings.crs)
+    except CRSError:
+        raise ThermorenderError(
+            f"crs={settings.crs!r} is not a coordinate reference system; give its EPSG code, such as EPSG:25833"
+        ) from None
+
+
+def read_heights(
+    path: Path, crs: Any, bounds: Bounds, most: int, undeclared: Any = None
+) -> tuple[NDArray[np.float64], Grid, Bounds]:  # fmt: skip
     """Return (heights (h, w) [m], their Grid, their bounds on a map) of the part of a raster of any size within bounds,
     thinned to a few times `most` posts."""
-    part = window_of(path, crs, bounds, _OVERSAMPLED * most)
+    part = window_of(path, crs, bounds, _OVERSAMPLED * most, undeclared)
     height, grid = read_elevation(path, part)
     return height, grid, shared(bounds, bounds_in(crs, grid))
 
@@ -75,9 +90,10 @@ def read_picture(
     if ends:
         black, white = parse_numbers("colour_range", ends, ("BLACK", "WHITE"))
         scale = black, white
-    part = None if whole else window_of(orthophoto, crs, bounds, _OVERSAMPLED * settings.max_texels**2)
+    undeclared = undeclared_crs(settings)
+    part = None if whole else window_of(orthophoto, crs, bounds, _OVERSAMPLED * settings.max_texels**2, undeclared)
     rgb, valid = read_colour(orthophoto, chosen, scale, settings.collar, part)
-    grid = part.grid if part else grid_of(orthophoto)
+    grid = part.grid if part else grid_of(orthophoto, undeclared=undeclared)
     if not valid.any():
         raise ThermorenderError(f"{orthophoto} is empty: every pixel is masked or border; give another orthophoto")
     own = bounds_in(crs, grid)
@@ -87,19 +103,19 @@ def read_picture(
             "same area"
         )
     bounds = shared(bounds, own)
-    picture = Picture(*_colours(rgb, valid, grid, crs, bounds, settings.max_texels))
+    picture = Picture(*_colours(rgb, valid, grid, crs, bounds, settings))
     if not picture.valid.any():
         raise ThermorenderError(f"{orthophoto} is empty where {elevation} is; give an orthophoto of the same area")
     return picture, bounds
 
 
 def _colours(
-    rgb: NDArray[np.uint8], valid: NDArray[np.bool_], grid: Grid, crs: Any, bounds: Bounds, max_texels: int
+    rgb: NDArray[np.uint8], valid: NDArray[np.bool_], grid: Grid, crs: Any, bounds: Bounds, settings: ImportSettings
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_], Grid]:
     """Colours on a map's grid within bounds, where they are valid, and that Grid."""
     texel = step_m(crs, grid)
     span = max(bounds[2] - bounds[0], bounds[3] - bounds[1])
-    target = _grid(crs, bounds, max(texel, span / max_texels))
+    target = _grid(crs, bounds, max(texel, span / settings.max_texels, settings.texel_m or 0.0))
     if _aligned(grid, crs, target, texel):
         rgb, target = _cut(rgb, grid, bounds)
         return rgb, _cut(valid, grid, bounds)[0], target

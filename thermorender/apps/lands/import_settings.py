@@ -19,6 +19,12 @@ class ImportSettings:
 
     max_vertices: Annotated[int, typer.Option(help="Most posts of the mesh.")] = 4_000_000
     max_texels: Annotated[int, typer.Option(help="Most texels along a side of the texture.")] = 8192
+    texel_m: Annotated[
+        float | None, typer.Option(help="Least side of a texel [m]; default: the orthophoto's pixels.")
+    ] = None
+    crs: Annotated[
+        str | None, typer.Option(help="Coordinate reference system of files that declare none, such as EPSG:25833.")
+    ] = None
     height_reference: Annotated[str | None, typer.Option(help="ellipsoid or geoid; default: as the CRS says.")] = None
     geoid_undulation_m: Annotated[float | None, typer.Option(help="Geoid above ellipsoid there [m].")] = None
     model: Annotated[str, typer.Option(help="Learned map, without a weather.")] = defaults.TEMPERATURE_MAP

@@ -7,6 +7,7 @@ The orthophoto's empty borders become its mask.
 
 import shutil
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from thermorender.apps.lands.import_rasters import (
     read_heights,
     read_picture,
     square_around,
+    undeclared_crs,
     write_raster,
 )
 from thermorender.apps.lands.import_settings import ImportSettings, ThreeD
@@ -35,6 +37,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.files import atomic_folder, check_new_folder
 from thermorender.formats import write_json, write_text
 from thermorender.materials.extended import within_band
+from thermorender.progress import Progress
 from thermorender.scene.folder import read_files
 from thermorender.scene.mapped_cover import read_mapped_cover
 from thermorender.scene.orthophoto import COLLAR, empty_border
@@ -62,14 +65,16 @@ _FOUND = ("buildings", "trees", "flat_outlines", "stated_walls", "unmatched")
 
 def import_terrain(
     elevation: Path, orthophoto: Path | None, folder: Path, settings: ImportSettings = _DEFAULT,
-    three_d: ThreeD | None = None,
+    three_d: ThreeD | None = None, progress: Progress = lambda what, share: None,
 ) -> dict[str, Any]:  # fmt: skip
     """Write a scene folder from an elevation model and an orthophoto, and return a summary of what is in it.
 
     Heights are a GeoTIFF of one band, or a point cloud, LAS or LAZ, whose highest points count; with `three_d` its
     points of class 2 are the ground, and those of class 6 buildings. Without orthophoto the ground has the colour of
-    its material.
+    its material. `progress` may raise to end the import, which then leaves nothing behind.
     """
+    done = partial(progress, "importing the terrain")
+    done(0.0)
     _check(settings, orthophoto, three_d)
     check_new_folder(folder)
     cloud, height, height_grid, notes, square = _read_heights(elevation, settings)
@@ -78,13 +83,17 @@ def import_terrain(
     day = weather_table(settings.weather, settings.time, height, height_grid)
     crs = map_crs(height_grid)
     bounds = square or bounds_in(crs, height_grid)
+    done(0.1)
     picture = None
     if orthophoto is not None:
         picture, bounds = read_picture(orthophoto, settings, elevation, crs, bounds, whole=square is None)
+        done(0.4)
     height, posts = heights_on_map(height, height_grid, crs, bounds, settings.max_vertices, square=three_d is not None)
     if not np.isfinite(height).any():
         raise ThermorenderError(f"{elevation} has no valid height where {orthophoto} is; give a DEM of the same area")
+    done(0.5)
     far, more = read_far(settings.far or (), height, posts, reference, settings)
+    done(0.6)
     notes = (*notes, *more)
     if far and picture is not None and (day is not None or settings.known is not None):
         coarse = f"far ground has the material {settings.material} where its texels are too coarse for a learned map"
@@ -108,6 +117,7 @@ def import_terrain(
         found = () if solid is None else solid.found
         shapes, stated_cover, words = with_found(known, cover, photograph, found)
         notes = (*notes, *words)
+    done(0.7)
     terrain = {"elevation": "elevation.tif", "orthophoto": "orthophoto.tif" if picture else None,
                "height_reference": reference, "geoid_undulation_m": settings.geoid_undulation_m,
                "fill": settings.fill or None}  # fmt: skip
@@ -121,6 +131,7 @@ def import_terrain(
             flight = flight.replace("above_ground_m", "up_m")
         else:
             _write_rasters(part, height, posts, picture)
+        done(0.8)
         if far:
             placeholder = picture is not None and day is None
             tables["terrain"] = _with_far(part, far, tables["terrain"], reference, settings, placeholder)
@@ -131,12 +142,16 @@ def import_terrain(
         elif known is not None:
             shutil.copyfile(known, part / _KNOWN)
         if photograph is not None:
-            notes = (*notes, *write_unexplained(part, Path(folder), stated_cover, photograph, settings.material))
+            unexplained = write_unexplained(
+                part, Path(folder), stated_cover, photograph, settings.material, lambda share: done(0.8 + 0.2 * share)
+            )
+            notes = (*notes, *unexplained)
         made_from = " and ".join(Path(path).name for path in (elevation, orthophoto) if path is not None)
         write_text(part / "scene.toml", toml_text(tables, f"Made from {made_from}."))
         write_text(part / "flight.csv", flight)
         if far:
             _try_far(part, Path(folder))
+        done(1.0)
     return {
         "crs": crs.to_string(),
         "posts": [posts.height, posts.width],
@@ -194,6 +209,8 @@ def _check(settings: ImportSettings, orthophoto: Path | None, three_d: ThreeD | 
             f"height_reference={settings.height_reference!r} is not allowed; give ellipsoid or geoid"
         )
     _finite("geoid_undulation_m", settings.geoid_undulation_m)
+    if settings.texel_m is not None and not 0.0 < settings.texel_m < np.inf:
+        raise ThermorenderError(f"texel_m={settings.texel_m:g} is not a length; give metres above 0")
     if settings.sky_temperature is not None:
         _finite("sky_temperature", settings.sky_temperature)
         scene_kelvin("sky_temperature", settings.sky_temperature)
@@ -215,7 +232,7 @@ def _read_heights(
 ) -> tuple[Cloud | None, NDArray[Any], Grid, tuple[str, ...], Bounds | None]:
     """(Point cloud or None, its or a raster's heights (h, w) [m], their Grid, sentences on doubtful ones, bounds of the
     square that is read or None)."""
-    bounds = None
+    bounds, undeclared = None, undeclared_crs(settings)
     if Path(path).suffix.lower() in SUFFIXES:
         if settings.around is not None:
             raise ThermorenderError(
@@ -225,10 +242,11 @@ def _read_heights(
         cloud = read_cloud(path)
         return cloud, cloud.surface, cloud.grid, tuple(cloud.notes), None
     if settings.around is None:
-        height, grid = read_elevation(path)
+        height, grid = read_elevation(path, undeclared=undeclared)
     else:
-        crs = map_crs(grid_of(path, any_size=True))
-        height, grid, bounds = read_heights(path, crs, square_around(settings.around, crs), settings.max_vertices)
+        crs = map_crs(grid_of(path, any_size=True, undeclared=undeclared))
+        square = square_around(settings.around, crs)
+        height, grid, bounds = read_heights(path, crs, square, settings.max_vertices, undeclared)
     return None, height, grid, tuple(doubtful_zeros(path, height)), bounds
 
 

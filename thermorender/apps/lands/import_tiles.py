@@ -22,7 +22,7 @@ from thermorender.scene.spec import read_scene
 from thermorender.schema import toml_text
 
 # Options of an import that resamples, which this one does not.
-_RESAMPLING = ("fill", "bands", "colour_range", "collar", "known", "around", "far")
+_RESAMPLING = ("fill", "texel_m", "crs", "bands", "colour_range", "collar", "known", "around", "far")
 # Length of the flight that comes with the scene [m].
 _FLOWN_M = 400.0
 

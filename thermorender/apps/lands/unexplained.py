@@ -1,6 +1,6 @@
 """What an import finds: pools, which become water, buildings, and patches that no material explains."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -110,11 +110,13 @@ def _on_map(outline: Outline, grid: Grid) -> dict[str, Any]:
 
 
 def write_unexplained(
-    folder: Path, shown_as: Path, stated: NDArray[np.bool_], picture: Photograph, material: str
-) -> tuple[str, ...]:
+    folder: Path, shown_as: Path, stated: NDArray[np.bool_], picture: Photograph, material: str,
+    progress: Callable[[float], object] | None = None,
+) -> tuple[str, ...]:  # fmt: skip
     """Write the outlines of large uniform patches that the learned map does not explain, each to a GeoJSON in a folder.
 
     Return a sentence on each, which names the file in `shown_as`. `stated` (h, w) is where the scene knows materials.
+    `progress` is called with the share done.
     """
     from rasterio.warp import transform_geom
 
@@ -123,7 +125,7 @@ def write_unexplained(
         # The scene says so where it is loaded.
         return ()
     colour = picture.rgb if picture.valid.all() else fill(picture.rgb, nearest_valid(picture.valid))
-    confidence = map_materials(model, colour, picture.texel_m).confidence
+    confidence = map_materials(model, colour, picture.texel_m, progress).confidence
     unknown = picture.valid & ~stated & (confidence < DEFAULT_CONFIDENCE)
     notes = []
     above = picture.above_m()

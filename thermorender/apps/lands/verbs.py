@@ -48,7 +48,8 @@ def import_terrain(
     if tiles:
         _of_tiles(elevation, orthophoto, output, settings, three_d)
         return
-    summary = run(elevation, orthophoto, output, settings, solids if three_d else None)
+    with progress() as report:
+        summary = run(elevation, orthophoto, output, settings, solids if three_d else None, report)
     typer.echo(f"{output}: {summary['posts'][1]}×{summary['posts'][0]} posts of {summary['post_m']:.3g} m, "
                f"{summary['texels'][1]}×{summary['texels'][0]} texels of {summary['texel_m']:.3g} m; "
                f"{summary['share_without_height']:.1%} without height, "
@@ -177,20 +178,13 @@ def make_scene(
     """Make a procedural scene from a seed, under a weather, with known temperatures; its survey from above in
     survey/.
     """
-    from thermorender.apps.lands.procedural.procedural_scene import make, weather_of
-    from thermorender.apps.lands.procedural.three_d import make_world
-    from thermorender.apps.lands.procedural.three_d import write as write_world
-    from thermorender.apps.lands.procedural.truth import write
+    from thermorender.apps.lands.procedural.make_scene import make_scene as run
+    from thermorender.apps.lands.procedural.procedural_scene import weather_of
 
     weather = weather_of(
         kind, weather_seed, time=time, air_low_c=air_low_c, air_high_c=air_high_c, humidity=humidity,
         wind_m_s=wind_m_s, cloud=cloud, snow_depth_m=snow_depth_m,
     )  # fmt: skip
     with progress() as report:
-        report("making the landscape", 0.0)
-        if draped:
-            folder = write(make(kind, seed, size_m, texel_m, post_m, weather=weather), output, progress=report)
-        else:
-            world = make_world(kind, seed, size_m, texel_m, post_m, weather=weather)
-            folder = write_world(world, output, progress=report)
+        folder = run(kind, output, seed, size_m, texel_m, post_m, weather, draped, report)
     typer.echo(str(folder))

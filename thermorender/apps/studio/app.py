@@ -11,25 +11,28 @@ from typing import TYPE_CHECKING
 
 import uvicorn
 from fastapi import FastAPI, Response
+from nicegui import run as nicegui_run
 from nicegui import ui
 from starlette.datastructures import Headers
-from starlette.requests import HTTPConnection
+from starlette.requests import HTTPConnection, Request
 from starlette.responses import PlainTextResponse, RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from thermorender.apps.studio import leaving, scene_list
 from thermorender.apps.studio.connections import Connection
-from thermorender.apps.studio.ground import map_picture
+from thermorender.apps.studio.opening import Studio, Work
 from thermorender.apps.studio.page import Tab
-from thermorender.apps.studio.session import Session
+from thermorender.apps.studio.pictures import outline_of
 from thermorender.apps.studio.spectrum import MOST_BYTES
+from thermorender.apps.studio.start import Start
+from thermorender.errors import ThermorenderError
 
 if TYPE_CHECKING:
     import socket
 
-    from thermorender import Renderer
-    from thermorender.apps.studio.scene_files import SceneFiles
-
 _LEAVES_S = 3
+# Time for the files of the listed scenes to be read, which may be on a network [s].
+_LISTS_S = 20.0
 _LOCAL = ("127.0.0.1", "localhost", "[::1]")
 _NOT_KEPT = {"cache-control": "no-store"}
 
@@ -93,46 +96,83 @@ def _limited(receive: Receive) -> Receive:
 
 
 def run(
-    renderer: "Renderer", files: "SceneFiles", listening: "socket.socket", host: str, pose: str, quality: str,
-    announce: Callable[[str], object],
+    studio: Studio, listening: "socket.socket", host: str, announce: Callable[[str], object],
+    say: Callable[[str], object],
 ) -> None:  # fmt: skip
-    """Serve the studio until Ctrl-C; `announce` gets the address that a browser opens, and `pose` is
-    E,N,U,YAW,PITCH,ROLL of the first view.
-    """
+    """Serve the studio until it is ended; `announce` gets the address that a browser opens, `say` what Ctrl-C asks."""
     token, port = secrets.token_urlsafe(24), int(listening.getsockname()[1])
-    session = Session(renderer, quality, files)
     config = uvicorn.Config(
-        Guard(_application(session, pose), token, host, port), http=Connection, log_level="error", access_log=False,
+        Guard(_application(studio), token, host, port), http=Connection, log_level="error", access_log=False,
         lifespan="on", timeout_graceful_shutdown=_LEAVES_S, ws_max_size=4_000_000, server_header=False,
     )  # fmt: skip
     reached = "127.0.0.1" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
-    session.renders.start()
     announce(f"http://{reached}:{port}/?token={token}")
     sys.stdout.flush()
     try:
         with contextlib.suppress(KeyboardInterrupt, asyncio.CancelledError):
-            uvicorn.Server(config).run(sockets=[listening])
+            leaving.Server(config, studio, say).run(sockets=[listening])
     finally:
-        session.close()
+        studio.end()
 
 
-def _application(session: Session, pose: str) -> FastAPI:
+def _application(studio: Studio) -> FastAPI:
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
+
+    @app.get("/")
+    def first() -> Response:
+        return RedirectResponse(leaving.SCENE if studio.session or studio.busy else "/scenes", 303, _NOT_KEPT)
 
     @app.get("/frame/{tab}/{number}")
     async def frame(tab: str, number: int) -> Response:
-        picture = session.renders.fetch(tab)
-        if picture is None or not picture.data:
+        picture = studio.session.renders.fetch(tab) if studio.session else None
+        # A later picture has its own number, under which the page asks for it.
+        if picture is None or picture.number != number:
             return Response(status_code=404)
         return Response(picture.data, media_type=picture.kind, headers=_NOT_KEPT)
 
-    @app.get("/map/{layer}/{version}/{percent}")
-    def map_of(layer: str, version: int, percent: int) -> Response:
-        return Response(map_picture(session, percent, layer), media_type="image/jpeg", headers=_NOT_KEPT)
+    @app.get("/other/{tab}/{number}")
+    async def other(tab: str, number: int) -> Response:
+        _, picture = studio.session.renders.shown(tab) if studio.session else (None, None)
+        if picture is None or picture.number != number or not picture.other:
+            return Response(status_code=404)
+        return Response(picture.other, media_type=picture.kind, headers=_NOT_KEPT)
 
-    @ui.page("/", title=f"{session.base.name} – thermorender studio", reconnect_timeout=30.0)
-    def page() -> None:
-        Tab(session, pose)
+    @app.get("/outline/{tab}/{number}/{name}")
+    def outline(tab: str, number: int, name: str) -> Response:
+        shot, picture = studio.session.renders.shown(tab) if studio.session else (None, None)
+        if shot is None or picture is None or picture.number != number:
+            return Response(status_code=404)
+        return Response(outline_of(shot, name), media_type="image/png", headers=_NOT_KEPT)
+
+    @app.get("/picture")
+    def picture(scene: str) -> Response:
+        try:
+            return Response(studio.listed[scene].picture(), media_type="image/jpeg", headers=_NOT_KEPT)
+        except (KeyError, OSError, ThermorenderError):
+            return Response(status_code=404)
+
+    async def start(followed: Work | None = None, told: str = "") -> None:
+        shipped, recent = await nicegui_run.io_bound(scene_list.listed) or ([], [])
+        studio.listed = {str(each.folder): each for each in (*shipped, *recent)}
+        Start(studio, shipped, recent, followed, told)
+
+    @ui.page("/scenes", title="thermorender studio", response_timeout=_LISTS_S, dark=None)
+    async def scenes(request: Request) -> None:
+        await start(told=studio.told if "closed" in request.query_params else "")
+
+    # Its query says what a tab shows.
+    @ui.page(leaving.SCENE, title="thermorender studio", response_timeout=_LISTS_S, dark=None)
+    async def scene(request: Request) -> Response | None:
+        work, session = studio.busy, studio.session
+        if session is not None:
+            ui.page_title(f"{session.base.name} – thermorender studio")
+            Tab(session, studio.pose, request.query_params)
+            leaving.watch(session)
+        elif work is not None:
+            await start(followed=work)
+        else:
+            return RedirectResponse("/scenes", 303, _NOT_KEPT)
+        return None
 
     ui.run_with(
         app, binding_refresh_interval=None, reconnect_timeout=30.0, tailwind=False, show_welcome_message=False,

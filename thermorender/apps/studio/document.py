@@ -1,13 +1,14 @@
 """Materials of a scene and what they cover, as a value: each edit makes another one."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender import Material
-from thermorender.apps.material_tables.edit import with_text
+from thermorender.apps.material_tables.edit import thermal_tables, with_text
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.materials.library import NAME, find, load_library, read_library
 from thermorender.materials.mixture import parts_of
@@ -19,6 +20,20 @@ if TYPE_CHECKING:
 
 # Files are named after materials.
 _LONGEST_NAME = 100
+
+
+class Paint(NamedTuple):
+    """Texels of the terrain with another material: a GeoJSON FeatureCollection, or their numbers as of
+    `Scene.with_material_at`. Equal is only the same area."""
+
+    area: Mapping[str, Any] | NDArray[np.int64]
+    material: str
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Paint) and self.area is other.area and self.material == other.material
+
+    def __ne__(self, other: object) -> bool:
+        return not self == other
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,18 +50,22 @@ class Document:
         Material of each class of the scene file.
     objects : dict of str to (str, float or None)
         Material and temperature of each object [K]; None for one that the heat balance solves.
-    painted : tuple of (dict, str)
-        Areas of the terrain with another material, as of `Scene.with_material_in`; the latest last.
+    painted : tuple of Paint
+        (area, name of its material), the latest last. An area is GeoJSON, as of `Scene.with_material_in`, or numbers of
+        texels, as of `Scene.with_material_at`.
     time : datetime64 or None
         Instant of temperatures that follow the weather; None: the scene's own. It is not saved.
+    origin : dict of str to Material
+        All materials as the files describe them, which give a value's source where an edit brings it back.
     """
 
     library: Mapping[str, Material]
     own: frozenset[str]
     classes: Mapping[int, str]
     objects: Mapping[str, tuple[str, float | None]]
-    painted: tuple[tuple[Mapping[str, Any], str], ...] = ()
+    painted: tuple[Paint, ...] = ()
     time: "np.datetime64 | None" = None
+    origin: Mapping[str, Material] = field(default_factory=dict)
 
     @classmethod
     def of(cls, scene: "Scene") -> "Document":
@@ -57,7 +76,7 @@ class Document:
             each.name: (each.material, each.kelvin if np.isfinite(each.kelvin) else None) for each in scene.spec.objects
         }
         library = load_library(folder if folder.is_dir() else None)
-        return cls(library, own, dict(scene.spec.emissivity.classes), objects)
+        return cls(library, own, dict(scene.spec.emissivity.classes), objects, origin=library)
 
     def material(self, name: str) -> Material:
         """Return a material; ThermorenderError where it was deleted or renamed."""
@@ -77,8 +96,12 @@ class Document:
 
         The same object is returned where nothing changes.
         """
-        self.material(name)
-        library = with_text(self.library, name, key, text)
+        if name not in thermal_tables(self.library):
+            self.material(name)
+        return self.with_library(with_text(self.library, name, key, text, self.origin))
+
+    def with_library(self, library: Mapping[str, Material]) -> "Document":
+        """Return this Document with other materials; the same object where `library` is that of this one."""
         return self if library is self.library else replace(self, library=library)
 
     def duplicated(self, name: str, copy: str) -> "Document":
@@ -101,7 +124,7 @@ class Document:
             self, library=library, own=(self.own - {name}) | {new},
             classes={key: new if each == name else each for key, each in self.classes.items()},
             objects={key: (new if each == name else each, k) for key, (each, k) in self.objects.items()},
-            painted=tuple((area, new if each == name else each) for area, each in self.painted),
+            painted=tuple(Paint(area, new if each == name else each) for area, each in self.painted),
         )  # fmt: skip
 
     def without(self, name: str) -> "Document":
@@ -115,7 +138,7 @@ class Document:
         uses += [f"object {key!r}" for key, (each, _) in self.objects.items() if each == name]
         uses += ["a painted area" for _, each in self.painted if each == name]
         uses += [f"the ground beneath {key}" for key, each in self.library.items()
-                 if each.thermal is not None and each.thermal.beneath == name]  # fmt: skip
+                 if each.thermal is not None and name in (layer.beneath for layer in each.thermal.layers)]  # fmt: skip
         if uses:
             raise ThermorenderError(f"{name} is the material of {uses[0]}; give that another one before you delete it")
         library = {key: each for key, each in self.library.items() if key != name}
@@ -152,7 +175,21 @@ class Document:
     def with_area(self, area: Mapping[str, Any], material: str) -> "Document":
         """Return this Document with another material within an area, a GeoJSON FeatureCollection."""
         find(self.library, material, "the area")
-        return replace(self, painted=(*self.painted, (area, material)))
+        return replace(self, painted=(*self.painted, Paint(area, material)))
+
+    def with_texels(self, texels: ArrayLike, material: str) -> "Document":
+        """Return this Document with another material on texels of the terrain, by their numbers as `Renderer.texels`
+        counts; `scene` refuses those that the terrain does not have."""
+        find(self.library, material, "the texels")
+        numbers = np.unique(np.asarray(texels))
+        if not numbers.size or numbers.dtype.kind not in "iu":
+            raise ThermorenderError(
+                f"texels={shortened(repr(texels))} is not allowed; give one or more whole numbers, as Renderer.texels "
+                "returns"
+            )
+        numbers = numbers.astype(np.int64)
+        numbers.setflags(write=False)
+        return replace(self, painted=(*self.painted, Paint(numbers, material)))
 
     def changed(self, saved: "Document") -> list[str]:
         """Return the names of the materials that differ from those of another Document, or are new."""
@@ -176,7 +213,11 @@ class Document:
         kelvin = {key: k for key, (_, k) in objects.items() if k is not None and k != saved.objects[key][1]}
         scene = scene.with_objects(kelvin) if kelvin else scene
         for area, name in self.painted:
-            scene = scene.with_material_in(area, self.library[name])
+            material = self.library[name]
+            if isinstance(area, Mapping):
+                scene = scene.with_material_in(area, material)
+            else:
+                scene = scene.with_material_at(area, material)
         return scene
 
 

@@ -1,95 +1,84 @@
-"""The page of a tab: its layout, its view of the scene, and what it says of a pixel."""
+"""The page of a tab: its layout, what it knows of the edits, and what connects it with the session."""
 
 import asyncio
 import contextlib
 import json
-import math
 import secrets
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from nicegui import ui
 
+from thermorender.apps.studio import leaving
+from thermorender.apps.studio.address import query_of, view_at
 from thermorender.apps.studio.editor import Editor
-from thermorender.apps.studio.panels import VERSION, Map, sentence_of, show_legend
-from thermorender.apps.studio.pictures import NAMES, Picture
-from thermorender.apps.studio.renders import figures
-from thermorender.apps.studio.session import Outdated, Session
-from thermorender.apps.studio.timeline import Timeline
-from thermorender.apps.studio.view import MODES, Pose, View, command, limits_of
+from thermorender.apps.studio.panels import VERSION
+from thermorender.apps.studio.session import Outdated, Session, extent
+from thermorender.apps.studio.stage import Stage
+from thermorender.apps.studio.view import Pose, View
 from thermorender.errors import ThermorenderError
-from thermorender.render.pixels.parts import PixelParts
 
 _FOLDER = Path(__file__).parent
-# Degrees of an orbit over the width of the picture.
-_TURN_DEG = 120.0
-_TICKS = 5
-# Words and tables follow their picture, which their own work in the browser would delay: so long after it, and the
-# tables no later than this after an edit [s].
-_AFTER_S, _LATEST_S = 0.06, 0.5
-# Parts of a pixel's radiance, in words.
-_ORIGINS = {
-    "emission": "Emission", "sky": "Reflected sky", "sun": "Reflected sun", "surroundings": "Reflected surroundings",
-    "air": "Air in between", "background": "Background",
-}  # fmt: skip
+_STYLES, _SCRIPTS = ("studio.css",), ("state.js", "hand.js", "spectrum.js")
+# The tables follow the picture of an edit, which their own work in the browser would delay; at most so long after the
+# edit [s].
+_LATEST_S = 0.5
+# Edits that the history lists.
+_LISTED = 40
 
 
 def first_pose(session: Session) -> str:
     """Return the pose of the first view: over the middle of the terrain, from the south at 45°."""
-    base = session.base
-    corner = np.concatenate([each.vertices[each.faces[:, 0], :2] for each in base.near_ground])
-    # Of nearly all faces: a few large ones may reach to the horizon.
-    low, high = np.quantile(corner, (0.05, 0.95), axis=0)
-    side = float((high - low).min()) / 0.9
-    return f"0,{-0.4 * side:.0f},{0.4 * side:.0f},0,-45,0"
+    low, high = extent(session.base)
+    side = float((high - low).min())
+    east, north = 0.5 * (low + high)
+    return f"{east + 0.0:.0f},{north - 0.4 * side:.0f},{0.4 * side:.0f},0,-45,0".replace("-0,", "0,", 1)
 
 
 class Tab:
-    """A tab of the browser; its first view is at `pose`, E,N,U,YAW,PITCH,ROLL, or "" for one from the south."""
+    """A tab of the browser; its first view is at `pose`, E,N,U,YAW,PITCH,ROLL, or "" for one from the south, unless the
+    address names another one.
+    """
 
-    def __init__(self, session: Session, pose: str) -> None:
+    def __init__(self, session: Session, pose: str, query: Mapping[str, str]) -> None:
         self.session, self.key = session, secrets.token_hex(8)
         self._client, self._loop = ui.context.client, asyncio.get_running_loop()
-        self.view = View(Pose.typed(pose or first_pose(session), session.base))
-        self.pixel: tuple[int, int] | None = None
-        self._under: tuple[int, int] | None = None  # the pixel under the pointer
-        self._picture: Picture | None = None
-        # Timers of the words of a picture, and of the tables where an edit does not show there yet.
-        self._wordless: asyncio.TimerHandle | None = None
+        first = View(Pose.typed(pose or first_pose(session), session.base))
+        # A timer of the tables where an edit does not show there yet, and the version that they show.
         self._behind: asyncio.TimerHandle | None = None
-        # The version of the edits that the tab has seen.
         self._seen = -1
-        ui.add_head_html(f"<style>{(_FOLDER / 'studio.css').read_text('utf-8')}</style>")
-        ui.add_head_html(f"<script>{(_FOLDER / 'studio.js').read_text('utf-8')}</script>")
+        self.dark = False  # whether charts are drawn for a dark page
+        style = "".join((_FOLDER / name).read_text("utf-8") for name in _STYLES)
+        script = "".join((_FOLDER / name).read_text("utf-8") for name in _SCRIPTS)
+        ui.add_head_html(f"<style>{style}</style><script>{script}</script>")
         ui.query("html").props('lang="en"')
         with ui.element("div").classes("studio"):
             self._header()
-            with ui.element("section").classes("left").props('aria-label="Materials"'):
-                left = ui.element("div").classes("left").style("flex:1;min-height:0")
+            with ui.element("section").classes("left").props('aria-label="Materials"') as left:
+                pass
             with ui.element("section").classes("middle").props('aria-label="View"'):
-                self._tools()
-                with ui.element("div") as self._camera_box:
-                    self._stage()
-                    self._below()
-                with ui.element("div").classes("mapside") as self._map_box:
-                    self.map = Map(self)
-            with ui.element("section").classes("right").props('aria-label="Properties"'):
-                right = ui.element("div").classes("right").style("flex:1;min-height:0")
-            self.editor = Editor(self, left, right)
-            self._map_box.set_visibility(False)
-        for name, handler in (("move", self._move), ("hover", self._hover), ("pick", self._pick)):
+                self.stage = Stage(self, view_at(query, session.base, first))
+            with ui.element("section").classes("right").props('aria-label="Properties"') as right:
+                pass
+        self.editor = Editor(self, left, right)
+        self.stage.refresh()
+        for name, handler in (
+            ("step", self._stepped),
+            ("heard", self._heard),
+            ("address", self._addressed),
+            ("theme", self._themed),
+        ):
             ui.on(f"studio_{name}", handler)
         session.tabs.append(self)
         self._client.on_connect(self._connected)
         self._client.on_delete(self._leave)
         ui.colors(primary="#0b6377")
         self.refresh()
+        self.editor.choose(query.get("material", ""))
 
-    # What the session and the renders call.
+    # What the session calls.
 
     def changed(self, by: str) -> None:
         """Take note of a version of the edits that the tab `by` made; the tables show it after its picture.
@@ -97,13 +86,24 @@ class Tab:
         Until then, what this tab sends counts as based on the version before, unless the edit is its own.
         """
         version = self.session.history.version
-        if by == self.key and self._seen == version - 1:
+        own = by == self.key
+        self.later(self._expect)(version, own)
+
+    def _expect(self, version: int, own: bool) -> None:
+        ui.run_javascript(f"studio.at({version})")
+        if own:
             self._see(version)
         if self._behind is None:
             self._behind = self._loop.call_later(_LATEST_S, self._inside, self.refresh)
 
+    def saved(self) -> None:
+        """Take note of what is saved now."""
+        self.refresh()
+        if self.stage.view.against == "saved":
+            self.stage.look()
+
     def refresh(self) -> None:
-        """Show the current version of the edits."""
+        """Show the current version of the edits in the tables."""
         if self._behind is not None:
             self._behind.cancel()
             self._behind = None
@@ -113,26 +113,28 @@ class Tab:
             for (icon, button, tip), what in zip(self._steps, (history.undoes, history.redoes), strict=True):
                 button.set_enabled(bool(what))
                 tip.set_text(f"{icon.title()}: {what}" if what else f"Nothing to {icon}")
-            self._version.set_text(f"version {history.version}")
+            self._list_edits()
             self.editor.refresh()
-            if self.view.mode == "map":
-                self.map.refresh()
+            self.stage.refresh()
+
+    @property
+    def behind(self) -> bool:
+        """Whether an edit does not show in the tables yet."""
+        return self._behind is not None
 
     def _see(self, version: int) -> None:
         """Let what the page sends count as based on a version."""
         self._seen = version
         with self._client:
-            ui.run_javascript(f"studio.version = {version}")
-
-    def look(self) -> None:
-        """Ask for a picture of the view."""
-        self.session.renders.look(self.key, self.view, self.later(self._shown))
+            ui.run_javascript(f"studio.version = {version}; studio.at({version})")
+        leaving.mark(self.session)
 
     def edit(self, version: int, what: str, change: Callable[..., Any], quiet: bool = False) -> str:
         """Change the document; return the sentence of a refusal, else "", and show it unless `quiet` says who does."""
-        return self._refused(partial(self.session.edit, version, what, change, self.key), quiet)
+        return self.refused(partial(self.session.edit, version, what, change, self.key), quiet)
 
-    def _refused(self, act: Callable[[], object], quiet: bool = False) -> str:
+    def refused(self, act: Callable[[], object], quiet: bool = False) -> str:
+        """Return the sentence of a refusal, else "", and show it unless `quiet` says who does."""
         try:
             act()
         except ThermorenderError as error:
@@ -150,7 +152,7 @@ class Tab:
             ui.notify(sentence, type=kind, position="bottom", multi_line=True, timeout=8000, close_button="Close")  # type: ignore[arg-type]
 
     def later(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """`function`, to be called from another thread."""
+        """Wrap `function` so other threads may call it."""
 
         def call(*arguments: Any) -> None:
             # The loop is closed where the studio ends.
@@ -159,8 +161,12 @@ class Tab:
 
         return call
 
+    def after(self, seconds: float, function: Callable[[], Any]) -> asyncio.TimerHandle:
+        """Call a function after a while, unless the tab has gone."""
+        return self._loop.call_later(seconds, self._inside, function)
+
     def _inside(self, function: Callable[..., Any], *arguments: Any) -> None:
-        if not self._client.is_deleted:
+        if not self.closed:
             with self._client:
                 function(*arguments)
 
@@ -169,11 +175,6 @@ class Tab:
         """Whether the tab has gone."""
         return self._client.is_deleted
 
-    @property
-    def shown(self) -> int:
-        """The number of the latest picture."""
-        return self._picture.number if self._picture else 0
-
     def _connected(self) -> None:
         """Bring a page up to date, the first time and after its connection was lost.
 
@@ -181,250 +182,73 @@ class Tab:
         """
         with self._client:
             ui.run_javascript(f"studio.setUp(); studio.version = {self._seen}")
-            if self._picture:
-                self._send(self._picture)
-            else:
-                self.look()
+            ui.run_javascript(f"studio.at({self.session.history.version})")
+            self.stage.connected()
 
     def _leave(self) -> None:
         self.session.renders.forget(self.key)
         if self in self.session.tabs:
             self.session.tabs.remove(self)
 
-    # The parts of the page.
+    # The address.
+
+    def remember(self, new: bool = False) -> None:
+        """Put view and material into the address; a `new` one is a step that the browser's Back takes back."""
+        query = query_of(self.stage.view, self.session.base, self.editor.name)
+        with self._client:
+            ui.run_javascript(f"studio.address({json.dumps(query)}, {json.dumps(new)})")
+
+    def _addressed(self, event: Any) -> None:
+        query = {str(key): str(value) for key, value in dict(event.args).items()}
+        self.stage.show(view_at(query, self.session.base, self.stage.view), remember=False)
+        self.editor.choose(query.get("material", ""))
+
+    # The header.
 
     def _header(self) -> None:
         with ui.element("header").classes("bar"):
             ui.html("<h1>Material studio</h1>", sanitize=False)
+            leaving.scenes_link(self.session)
             ui.label(f"{self.session.base.name} · {self.session.base.spec.title or 'untitled'}").classes("scene")
             # Written by the script, together with the picture.
+            ui.html("", sanitize=False).classes("soft").props('id="version" data-testid="version"')
             ui.html("rendering …", sanitize=False).classes("state").props(
                 'id="state" role="status" data-testid="state"'
             )
-            self._version = ui.label("").classes("soft").style("color:#c3d3df").props('data-testid="version"')
             self._steps = []
             for by, icon in ((-1, "undo"), (1, "redo")):
                 button = ui.button(icon=icon).props(f'flat dense round color=white data-testid="{icon}"')
                 button.props(f'aria-label="{icon.title()}"')
-                button.on("click", lambda e, by=by: self._step(int(e.args), by), js_handler=VERSION)
+                button.on("click", lambda e, by=by: self.step(int(e.args), by), js_handler=VERSION)
                 with button:
                     self._steps.append((icon, button, ui.tooltip("")))
+            with ui.button(icon="history").props('flat dense round color=white aria-label="Edits" data-testid="edits"'):
+                ui.tooltip("Edits")
+                self._edits = ui.menu().props('anchor="bottom right" self="top right"').classes("edits")
 
-    def _step(self, version: int, by: int) -> None:
+    def _list_edits(self) -> None:
+        self._edits.clear()
+        entries = self.session.history.entries[-_LISTED:]
+        with self._edits:
+            for version, what, steps in reversed(entries):
+                item = ui.menu_item("").props(f'data-version="{version}"').classes("" if steps else "chosen")
+                with item:
+                    ui.label(f"{version} · {what or 'as read from the files'}")
+                item.on("click", lambda e, steps=steps: self.step(int(e.args), steps), js_handler=VERSION)
+
+    def step(self, version: int, by: int) -> None:
+        """Undo or redo so many edits."""
         self.editor.drop_typed()
-        self._refused(partial(self.session.step, version, by, self.key))
+        self.refused(partial(self.session.step, version, by, self.key))
 
-    def _tools(self) -> None:
-        with ui.element("div").classes("tools"):
-            mode = ui.select(MODES, value="apparent", label="Show").props('dense outlined data-testid="mode"')
-            mode.style("width:228px").on_value_change(lambda e: self._set(mode=e.value))
-            with ui.element("div").classes("row") as self._colour_tools:
-                colours = ui.select(list(NAMES), value=self.view.palette, label="Palette").props("dense outlined")
-                colours.style("width:122px").on_value_change(lambda e: self._set(palette=e.value))
-                self._ends = [
-                    ui.input(label, placeholder="auto").props(f'dense outlined data-testid="{key}"').style("width:66px")
-                    for label, key in (("From", "low"), ("To", "high"))
-                ]
-                for each in self._ends:
-                    each.on("change", self._fixed)
-                for icon, says, now in (("lock", "Fix the range", True), ("lock_open", "Automatic range", False)):
-                    button = ui.button(icon=icon, on_click=lambda now=now: self._fix(now))
-                    button.props(f'flat dense aria-label="{says}"').tooltip(says)
+    def _stepped(self, event: Any) -> None:
+        self.step(int(event.args["version"]), int(event.args["by"]))
 
-    def _fix(self, now: bool) -> None:
-        shown = self._picture if now else None
-        given = shown.ends if shown and shown.ends and shown.unit == "K" else None
-        for k, each in enumerate(self._ends):
-            each.set_value(f"{given[k]:.1f}" if given else "")
-        self._fixed()
+    def _themed(self, event: Any) -> None:
+        if bool(event.args) != self.dark:
+            self.dark = bool(event.args)
+            self.editor.refresh()
+            self.stage.timeline.redraw()
 
-    def _fixed(self) -> None:
-        low, high = (each.value or "" for each in self._ends)
-        try:
-            self._set(limits=limits_of(low, high))
-        except ThermorenderError as error:
-            if low.strip() and high.strip():
-                self.say(str(error))
-
-    def _stage(self) -> None:
-        camera = self.session.base.camera
-        with ui.element("div").classes("view"):
-            with ui.element("div").classes("stage").style(f"--ratio:{camera.width}/{camera.height}"):
-                ui.element("img").props(
-                    'id="frame" data-testid="frame" tabindex="0" draggable="false" alt="The scene as the camera sees '
-                    'it. Drag to orbit, with Shift to pan, wheel to zoom; arrow keys, + and − do the same."'
-                )
-                self._cross = ui.element("div").classes("cross").style("display:none")
-            with ui.element("div").classes("scale").props('data-testid="scale"') as self._scale:
-                self._unit = ui.label("")
-                with ui.element("div").classes("ramp"):
-                    self._ramp = ui.element("div").classes("colours")
-                    with ui.element("div").classes("ticks"):
-                        self._ticks = [ui.label("") for _ in range(_TICKS)]
-        self._hovered = ui.label("Drag to orbit, Shift-drag to pan, wheel to zoom, click a pixel for its figures")
-        self._hovered.classes("hover").props('data-testid="hover"')
-
-    def _below(self) -> None:
-        with ui.element("div").classes("tools"):
-            self._pose = ui.input("Pose: E,N,U above ground,yaw,pitch,roll [m, deg]", validation=self._pose_fault)
-            self._pose.props('dense outlined hide-bottom-space data-testid="pose"').style("flex:1;min-width:280px")
-            self._pose.on("change", self._typed_pose)
-            self._pose.set_value(self.view.pose.text(self.session.base))
-            ui.button("Copy", on_click=self._copy_menu).props("flat dense")
-        self.timeline = Timeline(self)
-        with ui.element("div").classes("cards"):
-            with ui.element("div"):
-                ui.html("<h2>Pixel</h2>", sanitize=False)
-                with ui.element("div").classes("figures").props('data-testid="figures"') as self._figures:
-                    ui.label("Click a pixel in the picture.").classes("soft")
-            with ui.element("div"):
-                self._notes = ui.label("").classes("soft").props('data-testid="notes"')
-                self._parts_title = ui.html("", sanitize=False)
-                self._parts = ui.element("div").classes("figures three").props('data-testid="parts"')
-                self._legend = ui.element("div").classes("legend").props('data-testid="legend"')
-
-    def _copy_menu(self) -> None:
-        text = command(self.session, self.view).strip()
-        ui.run_javascript(f"navigator.clipboard.writeText({json.dumps(text)})")
-        self.say(f"Copied: {text}", "info")
-
-    # What a hand does.
-
-    def _set(self, **changes: Any) -> None:
-        self.view = replace(self.view, **changes)
-        on_map = self.view.mode == "map"
-        self._map_box.set_visibility(on_map)
-        self._colour_tools.set_visibility(not on_map)
-        self._camera_box.set_visibility(not on_map)
-        if on_map:
-            self.map.open()
-        else:
-            self.look()
-
-    def turn_to(self, pose: Pose, time_s: float | None = None) -> None:
-        """Show another pose."""
-        self._pose.set_value(pose.text(self.session.base))
-        self._set(pose=pose, time_s=self.view.time_s if time_s is None else time_s)
-
-    def _pose_fault(self, text: str) -> str | None:
-        return sentence_of(lambda: Pose.typed(text, self.session.base))
-
-    def _typed_pose(self) -> None:
-        if self._pose_fault(self._pose.value) is None:
-            self._set(pose=Pose.typed(self._pose.value, self.session.base))
-
-    def _move(self, event: Any) -> None:
-        given, scene, pose = event.args, self.session.base, self.view.pose
-        right, down, zoom = (float(given[key]) for key in ("right", "down", "zoom"))
-        if not all(map(math.isfinite, (right, down, zoom))):
-            return
-        turn = 0.0 if given["pan"] else -_TURN_DEG
-        pose = pose.orbited(turn * right, turn * down, zoom, scene)
-        self.turn_to(pose.moved(right, down, scene) if given["pan"] else pose)
-
-    def _hover(self, event: Any) -> None:
-        self._under = (int(event.args[0]), int(event.args[1]))
-        self._ask(self._under, self._hover_shown)
-
-    def _pick(self, event: Any) -> None:
-        self.pixel = (int(event.args[0]), int(event.args[1]))
-        self._place_cross()
-        self._ask(self.pixel, self._figures_shown)
-
-    def _ask(self, pixel: Any, show: Callable[..., Any]) -> None:
-        """Find a pixel's figures in the thread that renders, and show them."""
-        renders, later = self.session.renders, self.later(show)
-
-        def job() -> None:
-            frame = renders.frame(self.key)
-            found = None if frame is None else figures(frame, *pixel)
-            later(
-                found, renders.parts(self.key, (pixel[1], pixel[0])) if found and show == self._figures_shown else None
-            )
-
-        renders.run(job)
-
-    # What comes back.
-
-    def _shown(self, picture: Picture) -> None:
-        if not picture.data:
-            ui.run_javascript("studio.say('not rendered', false)")
-            self.say(picture.notes)
-            return
-        self._picture = picture
-        self._send(picture)
-        if self._wordless is None:
-            self._wordless = self._loop.call_later(_AFTER_S, self._inside, self._words)
-
-    def _words(self) -> None:
-        """Say what the latest picture shows."""
-        self._wordless, picture = None, self._picture
-        if picture is None:
-            return
-        self._unit.set_text(picture.unit)
-        self._scale.style(f"visibility:{'visible' if picture.ends else 'hidden'}")
-        self._ramp.style(f"background:{picture.gradient or 'none'}")
-        for tick, text in zip(self._ticks, picture.ticks(len(self._ticks)), strict=True):
-            tick.set_text(text)
-        self._notes.set_text(picture.notes)
-        show_legend(self._legend, picture.legend)
-        if self.pixel is not None:
-            self._ask(self.pixel, self._figures_shown)
-        if self._under is not None:
-            self._ask(self._under, self._hover_shown)
-        if self._behind is not None and picture.version == self.session.history.version:
-            self.refresh()
-
-    def _send(self, picture: Picture) -> None:
-        address = f"/frame/{self.key}/{picture.number}"
-        given = address, picture.version, picture.number, picture.words, picture.exact
-        ui.run_javascript(f"studio.show({', '.join(map(json.dumps, given))})")
-
-    def _place_cross(self) -> None:
-        if self.pixel is not None:
-            camera = self.session.base.camera
-            left, top = (100.0 * (self.pixel[k] + 0.5) / size for k, size in ((0, camera.width), (1, camera.height)))
-            self._cross.style(f"display:block;left:{left:.3f}%;top:{top:.3f}%")
-
-    def _hover_shown(self, found: dict[str, Any] | None, _: Any) -> None:
-        if found:
-            what = f" · {found['object'] or found['material']}" if found["material"] else " · no surface"
-            self._hovered.set_text(f"{found['apparent_k']:.2f} K apparent{what}")
-
-    def _figures_shown(self, found: dict[str, Any] | None, parts: PixelParts | None) -> None:
-        if found is None or self.pixel is None:
-            return
-        east, north, up = found["position"]
-        rows = [
-            ("Pixel", f"column {self.pixel[0]}, row {self.pixel[1]}"),
-            ("Apparent temperature", f"{found['apparent_k']:.3f} K"),
-            ("Radiance", f"{found['radiance']:.4f} W m⁻² sr⁻¹"),
-        ]
-        if found["material"]:
-            rows += [
-                ("Kinetic temperature", f"{found['kinetic_k']:.3f} K"),
-                ("Band emissivity", f"{found['emissivity']:.4f}"),
-                ("Material", found["material"]),
-                *([("Object", found["object"])] if found["object"] else []),
-                *([("View angle", f"{parts.angle_deg:.1f}°")] if parts else []),
-                ("Position E, N, up", f"{east:.1f}, {north:.1f}, {up:.1f} m"),
-            ]
-        else:
-            rows.append(("Surface", "none: sky or surroundings"))
-        self._figures.clear()
-        self._figures.props(f"data-version={self._picture.version if self._picture else 0}")
-        with self._figures:
-            for key, value in rows:
-                ui.label(key).classes("k")
-                ui.label(value).props(f'data-key="{key}"')
-        self._parts.clear()
-        self._parts_title.set_content("<h2>Radiance by origin</h2>" if parts else "")
-        if parts is None:
-            return
-        with self._parts:
-            for head in ("", "W m⁻² sr⁻¹", "K"):
-                ui.label(head).classes("k r")
-            for name, part in parts.radiance.items():
-                ui.label(_ORIGINS.get(name, name)).classes("k")
-                ui.label(f"{round(part, 4) + 0.0:.4f}").classes("r").props(f'data-part="{name}"')
-                ui.label(f"{round(parts.kelvin[name], 2) + 0.0:.2f}").classes("r")
+    def _heard(self, event: Any) -> None:
+        ui.run_javascript(f"studio.heard({int(event.args)})")

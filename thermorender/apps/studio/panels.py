@@ -1,4 +1,4 @@
-"""Parts of the page: a field that is typed into, what the materials cover, the map to paint on, and files."""
+"""Parts of the page: a field that is typed into, what the materials cover, labels to train on, and files."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Any
 from nicegui import run, ui
 
 from thermorender import load_scene
-from thermorender.apps.studio import ground
+from thermorender.apps.studio import labels
 from thermorender.apps.studio.document import Document
-from thermorender.apps.studio.pictures import Legend
+from thermorender.apps.studio.exports import KINDS, commands, exported
 from thermorender.apps.studio.scene_files import Save
-from thermorender.apps.studio.view import commands, exported
 from thermorender.errors import ThermorenderError
 from thermorender.materials.csv_tables import decimal
 from thermorender.units import kelvin
@@ -22,18 +21,10 @@ if TYPE_CHECKING:
     from thermorender.apps.studio.page import Tab
 
 # What events of the page send: the version of the edits that it shows, and their value before it.
-VERSION, VALUE_AND_VERSION = "() => emit(studio.version)", "(value) => emit(value, studio.version)"
-_TOOLS = {"fill": "Fill region", "polygon": "Polygon", "lasso": "Lasso"}
-_STAGE = """
-<div id="mapstage" tabindex="0" role="application" aria-label="Map to paint on: arrow keys move the mark, Space puts a
-corner there, Enter closes the area, Escape drops it"><img id="map" alt="Map of the materials over the orthophoto"
-data-testid="map" draggable="false"><svg id="mapdraw" viewBox="0 0 1 1" preserveAspectRatio="none"></svg></div>
-"""
-_LAYERS = {"materials": "Materials", "learned": "Learned", "uncertainty": "Uncertainty"}
-_KINDS = {
-    "png": "PNG, display", "exr": "EXR, radiance and truth", "tif": "TIFF, apparent [K]", "map": "GeoTIFF, map [K]",
-    "npz": "NPZ, arrays",
-}  # fmt: skip
+VERSION, VALUE_AND_VERSION = (
+    "() => studio.sent(emit, studio.version)",
+    "(value) => studio.sent(emit, value, studio.version)",
+)
 
 
 def sentence_of(call: Callable[[], object]) -> str | None:
@@ -50,16 +41,6 @@ def draw(chart: ui.echart, options: dict[str, Any]) -> None:
     chart.options.clear()
     chart.options.update(options)
     chart.update()
-
-
-def show_legend(box: ui.element, legend: Legend) -> None:
-    """Fill an element with a legend."""
-    box.clear()
-    with box:
-        for words, colour in legend:
-            with ui.element("div"):
-                ui.element("span").classes("swatch").style(f"background:{colour}")
-                ui.label(words)
 
 
 def _alike(one: str, other: str) -> bool:
@@ -206,67 +187,56 @@ class Cover:
             ):
                 self.refresh()
 
-        given.on("update:model-value", done, js_handler="(one) => emit(one && one.label, studio.version)")
+        given.on("update:model-value", done, js_handler="(one) => studio.sent(emit, one && one.label, studio.version)")
         return given
 
 
-class Map:
-    """The orthophoto with the materials over it, and tools to paint on it."""
+class Training:
+    """Labels that a hand draws in the view, and a map that is learned from them."""
 
     def __init__(self, tab: "Tab") -> None:
         self._tab, self._session = tab, tab.session
-        with ui.element("div").classes("tools"):
-            self._tool = ui.select(_TOOLS, value="fill", label="Tool").props('dense outlined data-testid="tool"')
-            self._tool.style("width:148px").on_value_change(
-                lambda e: ui.run_javascript(f"studio.tool({json.dumps(e.value)})")
-            )
-            self._paint = ui.select([], label="Material to paint", with_input=True)
-            self._paint.props('dense outlined options-dense data-testid="paint"').style("width:200px")
-            ui.label("Opacity").classes("soft")
-            self._percent = ui.slider(min=0, max=100, value=45).props('aria-label="Opacity of the materials"')
-            self._percent.style("width:110px").on("change", self.refresh)
-        self._labels()
-        with ui.element("div").classes("mapbox"):
-            ui.html(_STAGE, sanitize=False)
-        self._words = ui.label("").classes("hover").props('data-testid="map-words"')
-        self._legend = ui.element("div").classes("legend maplegend").props('data-testid="map-legend"')
-        ui.on("studio_area", self._area)
-
-    def _labels(self) -> None:
-        """Controls of areas that label the ground for training."""
-        with ui.element("div").classes("tools"):
-            self._use = ui.toggle({"paint": "Paint", "label": "Label"}, value="paint")
-            self._use.props('dense no-caps data-testid="use"').on_value_change(self._labelled)
-            self._layer = ui.select(_LAYERS, value="materials", label="Layer").props(
-                'dense outlined data-testid="layer"'
-            )
-            self._layer.style("width:165px").on_value_change(self.refresh)
-            with ui.element("div").classes("row grow") as self._label_tools:
-                self._count = ui.label("").classes("soft count").props('role="status" data-testid="labels"')
+        with ui.element("div").classes("part"):
+            ui.html("<h2>Learn a map from labels</h2>", sanitize=False)
+            ui.label(
+                "While this is on, the tools of the view label areas with the chosen material, and paint nothing. "
+                "Label two materials or more, each in several places. The map is learned from the orthophoto of the "
+                "scene as saved."
+            ).classes("soft")
+            self._on = ui.switch("Tools label", on_change=tab_follows(tab)).props('dense data-testid="labelling"')
+            self._count = ui.label("").classes("soft").props('role="status" data-testid="labels"')
+            with ui.row().style("gap:8px;margin-top:6px"):
                 for text, does in (("Remove", self._remove), ("Train", self._train), ("Download", self._download)):
                     ui.button(text, on_click=does).props(f'outline dense no-caps data-testid="{text.lower()}"')
                 self._cancel = ui.button("Cancel", on_click=self._session.stop_training.set)
                 self._cancel.props('flat dense no-caps data-testid="cancel-training"').set_visibility(False)
-        self._label_tools.set_visibility(False)
+        self._counted()
 
-    def _labelled(self) -> None:
-        """Show the labels, where areas are labels."""
-        labels, grid, on = self._session.labels, self._session.base.grid, self._use.value == "label"
-        self._label_tools.set_visibility(on)
-        count = len({each["properties"]["material"] for each in labels})
-        self._count.set_text(f"{len(labels)} labels, {count} materials")
-        shapes = ground.outlines(grid, labels) if on and grid is not None else []
-        ui.run_javascript(f"studio.showLabels({json.dumps(shapes)})")
+    @property
+    def labels_now(self) -> bool:
+        """Whether strokes label instead of paint."""
+        return bool(self._on.value)
+
+    def label(self, geometries: list[dict[str, Any]], material: str) -> None:
+        """Label areas with a material."""
+        self._session.labels.append([labels.labelled(each, material) for each in geometries])
+        self._counted()
+
+    def _counted(self) -> None:
+        count = len({each[0]["properties"]["material"] for each in self._session.labels})
+        self._count.set_text(f"{len(self._session.labels)} labels, {count} materials")
 
     def _remove(self) -> None:
         del self._session.labels[-1:]
-        self._labelled()
+        self._counted()
 
     def _download(self) -> None:
         grid = self._session.base.grid
-        if grid is not None:
-            text = json.dumps(ground.collection(grid, self._session.labels), indent=1)
-            ui.download.content(text.encode(), "labels.geojson")
+        if grid is None:
+            self._tab.say("this scene has no orthophoto to label; labels need a terrain of rasters")
+            return
+        features = [feature for each in self._session.labels for feature in each]
+        ui.download.content(json.dumps(labels.collection(grid, features), indent=1).encode(), "labels.geojson")
 
     async def _train(self) -> None:
         """Train a map on the labels beside the thread that renders, and show it."""
@@ -284,7 +254,7 @@ class Map:
         self._cancel.set_visibility(True)
         fault = ""
         try:
-            session.learned = await run.io_bound(ground.learned_from, session, progress) or {}
+            session.renders.learned = await run.io_bound(labels.learned_from, session, progress)
         except ThermorenderError as error:
             fault = str(error)
         finally:
@@ -292,49 +262,16 @@ class Map:
         if self._tab.closed:
             return
         self._cancel.set_visibility(False)
-        self._labelled()
+        self._counted()
         if fault:
             self._tab.say(fault)
-        elif self._layer.value == "materials":
-            self._layer.set_value("learned")
         else:
-            self.refresh()
+            self._tab.stage.change(layer="learned")
 
-    def open(self) -> None:
-        """Show the map of the current version."""
-        self._paint.set_options(sorted(self._session.document.library), value=self._tab.editor.name)
-        self.refresh()
-        ui.run_javascript(f"studio.setUpMap(); studio.tool({json.dumps(self._tool.value)})")
 
-    def refresh(self) -> None:
-        """Show the current version of the edits."""
-        version, layer = self._session.history.version, ground.layer_of(self._session, self._layer.value)
-        address = f"/map/{self._layer.value}/{version}/{int(self._percent.value)}"
-        ui.run_javascript(f"studio.showMap({json.dumps(address)}, {version})")
-        self._words.set_text(layer.words)
-        show_legend(self._legend, layer.legend)
-
-    def _area(self, event: Any) -> None:
-        given, scene, material = event.args, self._session.scene, str(self._paint.value or "")
-        try:
-            if not material:
-                raise ThermorenderError("no material to paint with is chosen; choose one above the map")
-            if given["tool"] == "fill":
-                shape = ground.filled(scene, *map(float, given["points"][0]))
-            else:
-                shape = ground.polygon(scene, given["points"])
-        except ThermorenderError as error:
-            self._tab.say(str(error))
-            return
-        label = ground.labelled(shape, material)
-        if self._use.value == "label":
-            self._session.labels.append(label)
-            self._labelled()
-            return
-        area = ground.collection(ground.grid_of(scene), [label])
-        self._tab.edit(
-            int(given["version"]), f"area of {material}", lambda document: document.with_area(area, material)
-        )
+def tab_follows(tab: "Tab") -> Callable[[], None]:
+    """Return a function that lets the tools of a tab's view show what they do now."""
+    return lambda: tab.stage.refresh()
 
 
 class Files:
@@ -355,9 +292,11 @@ class Files:
         with ui.element("div").classes("part"):
             ui.html("<h2>Export the view</h2>", sanitize=False)
             with ui.row().style("gap:8px;align-items:center"):
-                self._kind = ui.select(_KINDS, value="png", label="Kind").props("dense outlined").style("width:200px")
+                self._kind = ui.select(KINDS, value="png", label="Kind").props('dense outlined data-testid="kind"')
+                self._kind.style("width:290px")
                 self._metres = ui.number("Pixel [m]", value=0.5, min=0.01).props("dense outlined").style("width:100px")
-                ui.button("Export", on_click=self._export).props("dense")
+                self._metres.bind_visibility_from(self._kind, "value", lambda kind: kind == "map.tif")
+                ui.button("Export", on_click=self._export).props('dense data-testid="export"')
         with ui.element("div").classes("part"):
             ui.html("<h2>The same without the page</h2>", sanitize=False)
             ui.button("Show", on_click=self._commands).props("outline dense")
@@ -386,7 +325,7 @@ class Files:
 
     def _commands(self) -> None:
         self._code.set_visibility(True)
-        self._code.set_text("\n".join(commands(self._session, self._tab.view)))
+        self._code.set_text("\n".join(commands(self._session, self._tab.stage.view)))
 
     def _plan(self) -> Save | None:
         with self._told():

@@ -1,6 +1,7 @@
-"""Pictures of a frame for the browser: temperatures in colours, a difference, the camera's display, materials."""
+"""Pictures for the browser and for files: values in colours with their bar, differences, photographs, materials."""
 
 import io
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -9,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender import Frame
+from thermorender.apps.studio.layers import LAYERS, NOTHING, Shot
 from thermorender.apps.studio.view import View
-from thermorender.formats import encoded_image
+from thermorender.errors import ThermorenderError
+from thermorender.formats import encoded_image, label
 from thermorender.frame.picture import limits as automatic
 from thermorender.sensor.palettes import PALETTES, palette
 
@@ -20,8 +22,13 @@ NAMES = (*PALETTES, "inferno", "viridis")
 # Words, each with its colour as CSS.
 Legend = tuple[tuple[str, str], ...]
 _DIFFERENCE = "RdBu_r"
-_LEAST_DIFFERENCE_K = 0.01
+# Least end of the colours of a difference, by its unit.
+_LEAST_DIFFERENCE = {"K": 0.01, "mK": 0.1, "W/m²": 0.1, "": 1e-4}
+# Share of the pixels at each end that may lie outside the colours [%].
+_TAILS = 0.5
 _NO_SURFACE = (24, 28, 36)
+# Limits of the lightness L* of colours of materials.
+_DARKEST, _LIGHTEST = 28.0, 90.0
 
 
 @dataclass(frozen=True)
@@ -33,13 +40,18 @@ class Picture:
     version: int
     words: str  # "exact", or "preview ± x mK"
     exact: bool
+    view: View | None = None  # that it is of
+    title: str = ""  # What it shows
     data: bytes = b""
     kind: str = "image/png"  # Media type of the data
-    ends: tuple[float, float] | None = None  # (float, float) or of the colour bar; None without one
-    gradient: str = ""  # Its colours as CSS
+    other: bytes = b""  # What it is compared with, beside a slider
+    ends: tuple[float, float] | None = None  # of the colour bar; None without one
+    palette: str = ""
     unit: str = ""
-    notes: str = ""  # Mean and extremes of a difference, or why there is no picture
+    notes: str = ""  # Mean and extremes, or why there is no picture
     legend: Legend = field(default=())  # Materials in view
+    values: NDArray[np.float32] | None = field(default=None, repr=False)  # (H, W) of the pixels
+    levels: NDArray[np.uint8] | None = field(default=None, repr=False)  # (H, W) of the palette, or (H, W, 3) sRGB
 
     @classmethod
     def of_fault(cls, sentence: str, version: int) -> "Picture":
@@ -51,8 +63,10 @@ class Picture:
         if self.ends is None:
             return [""] * count
         low, high = self.ends
-        digits = 0 if self.unit != "K" else 1 if high - low >= 10.0 else 2 if high - low >= 0.5 else 3
-        sign = "+" if low < 0.0 else ""
+        across = high - low
+        digits = max(0, min(4, 2 - int(np.floor(np.log10(across))))) if across > 0.0 else 3
+        digits = min(digits, 1) if self.unit in ("mK", "W/m²") else digits
+        sign = "+" if low < 0.0 and self.unit else ""
         return [f"{value:{sign}.{digits}f}" for value in np.linspace(high, low, count)]
 
 
@@ -80,38 +94,58 @@ def gradient(name: str) -> str:
 
 
 def picture_of(
-    frame: Frame, view: View, blank: Picture, before: NDArray[np.float32] | None,
-    colour: tuple[NDArray[np.uint8], NDArray[np.bool_]] | None,
+    shot: Shot, other: Shot | None, what: str, blank: Picture, colours: "MaterialColours"
 ) -> Picture:  # fmt: skip
-    """Return the Picture of a frame, filled into `blank`; `before` is the apparent temperature of the saved tables for
-    a difference (H, W) [K], and `colour` the photograph as of `Renderer.visible`.
+    """Return the Picture of a Shot, filled into `blank`; it is compared with the Shot `other`, which is `what`, if any.
+
+    Raises
+    ------
+    ThermorenderError
+        The layer is not there in this view, or is not known yet.
     """
+    view, about = shot.view, LAYERS[shot.view.layer]
+    if reason := shot.shows(view.layer):
+        raise ThermorenderError(reason)
+    blank = replace(blank, title=about.title + (", from above" if view.plan else ""))
+    beside = other is not None and (view.slider or not about.channel)
+    if not about.channel:
+        made = _without_values(shot, blank, colours)
+        if not beside or other is None:
+            return made
+        return replace(made, other=_without_values(other, blank, colours).data)
+    values = shot.values(view.layer)
+    before = None if other is None else other.values(view.layer)
+    if before is not None and not beside:
+        change = values - before
+        most = max(_largest(change), _LEAST_DIFFERENCE[about.unit])
+        ends = view.limits or (-most, most)
+        title = f"{blank.title}, minus that of {what}"
+        return _drawn(replace(blank, title=title), change, _DIFFERENCE, ends, about.unit, words_of(change, about.unit))
+    every = values if before is None else np.stack([values, before])
+    scale, most = (_DIFFERENCE, max(_largest(every), 1.0)) if about.signed else (view.palette, 0.0)
+    ends = view.limits or ((-most, most) if about.signed else _automatic(every, about.unit))
+    made = _drawn(blank, values, scale, ends, about.unit, words_of(values, about.unit))
+    return made if before is None else replace(made, other=_png(_levels(before, *ends), table(scale)))
 
-    def drawn(
-        levels: NDArray[np.uint8], colours: str, ends: tuple[float, float], unit: str, notes: str = ""
-    ) -> Picture:
-        data = _png(levels, table(colours))
-        return replace(blank, data=data, ends=ends, gradient=gradient(colours), unit=unit, notes=notes)
 
-    kelvin = frame.apparent_temperature
-    if view.mode == "photograph" and colour is not None:
-        image = np.where(colour[1][..., None], colour[0], np.array(_NO_SURFACE, np.uint8))
-        return replace(blank, data=encoded_image(".jpg", image), kind="image/jpeg")
-    if view.mode == "materials":
-        number = np.where(np.isfinite(frame.truth["depth"]), frame.truth["material"], np.uint8(255))
-        return replace(blank, data=_png(number, colours_of_materials()), legend=legend_of(number, frame.materials))
-    if view.mode == "display":
-        return drawn(frame.display, view.palette, (0.0, 255.0), "level")
-    if view.mode == "difference" and before is not None:
-        change = kelvin - before
-        most = max(float(np.nanmax(np.abs(change))), _LEAST_DIFFERENCE_K)
-        notes = (
-            f"mean {change.mean(dtype=np.float64):+.3f} K, from {change.min():+.3f} to {change.max():+.3f} K against "
-            "the saved tables"
-        )
-        return drawn(_levels(change, -most, most), _DIFFERENCE, (-most, most), "K", notes)
-    ends = view.limits or automatic(kelvin)
-    return drawn(_levels(kelvin, *ends), view.palette, ends, "K")
+def _without_values(shot: Shot, blank: Picture, colours: "MaterialColours") -> Picture:
+    """The Picture of a layer that has no values."""
+    layer = shot.view.layer
+    if layer == "photograph":
+        colour, known = shot.colour
+        image = np.where(known[..., None], colour, np.array(_NO_SURFACE, np.uint8))
+        return replace(blank, data=encoded_image(".jpg", image), kind="image/jpeg", levels=image)
+    if layer == "display" and shot.frame is not None:
+        level = shot.frame.display
+        made = replace(blank, data=_png(level, table(shot.view.palette)), levels=level, values=level.astype(np.float32))
+        return replace(made, ends=(0.0, 255.0), palette=shot.view.palette, unit="level")
+    learned = layer == "learned" and shot.learned is not None
+    number = shot.learned_materials() if learned else shot.material
+    names = shot.learned.names if learned and shot.learned is not None else shot.names
+    words = shot.learned.words if learned and shot.learned is not None else ""
+    level = colours.numbers(names)[number]
+    data = _png(level, colours_of_materials())
+    return replace(blank, data=data, levels=level, legend=legend_of(number, names, colours), notes=words)
 
 
 def _levels(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.uint8]:
@@ -119,11 +153,100 @@ def _levels(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.
     return np.nan_to_num(np.clip(np.rint(scaled), 0.0, 255.0)).astype(np.uint8)
 
 
-def legend_of(number: NDArray[np.uint8], names: Sequence[str]) -> Legend:
+def _drawn(
+    blank: Picture, values: NDArray[np.float32], colours: str, ends: tuple[float, float], unit: str, notes: str
+) -> Picture:
+    levels = _levels(values, *ends)
+    data = _png(levels, table(colours))
+    return replace(
+        blank, data=data, levels=levels, values=values, ends=ends, palette=colours, unit=unit, notes=notes
+    )  # fmt: skip
+
+
+def _automatic(values: NDArray[np.floating], unit: str) -> tuple[float, float]:
+    """The ends of the colours: of temperatures as of frames elsewhere, of other quantities all but a few pixels."""
+    known = values[np.isfinite(values)]
+    if unit == "K" or not known.size:
+        return automatic(values)
+    low, high = (float(each) for each in np.percentile(known, (_TAILS, 100.0 - _TAILS)))
+    return (low, high) if high - low > _LEAST_DIFFERENCE[unit] else (low, low + _LEAST_DIFFERENCE[unit])
+
+
+def _largest(values: NDArray[np.floating]) -> float:
+    known = np.abs(values[np.isfinite(values)])
+    return float(known.max()) if known.size else 0.0
+
+
+def words_of(values: NDArray[np.floating], unit: str) -> str:
+    """Return mean and extremes of values in words."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return "no value in view"
+    mean, low, high = (quantity(each, unit) for each in (known.mean(dtype=np.float64), known.min(), known.max()))
+    return f"mean {mean}, from {low} to {high}"
+
+
+def quantity(value: float, unit: str) -> str:
+    """Return a value with its unit: a temperature below 1 K, such as a difference, in mK."""
+    value = float(value)
+    if unit == "K" and abs(value) < 1.0:
+        return f"{1000.0 * value:.3g} mK".replace("-", "−")
+    digits = {"K": 2, "mK": 1, "W/m²": 1}.get(unit, 4)
+    return f"{round(value, digits) + 0.0:.{digits}f} {unit}".rstrip().replace("-", "−")
+
+
+def figure_of(picture: Picture, title: str, kind: str) -> bytes:
+    """Return a picture with its colour bar or legend as a PNG or an SVG."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import ListedColormap, Normalize
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
+
+    figure = Figure(figsize=(8.0, 6.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    levels = picture.levels
+    assert levels is not None
+    legend = colours_of_materials()
+    shown = levels if levels.ndim == 3 else (table(picture.palette) if picture.ends else legend)[levels]
+    axes.imshow(shown, interpolation="nearest")
+    axes.set_axis_off()
+    axes.set_title(label(title), fontsize=9)
+    if picture.ends is not None:
+        bar = ScalarMappable(Normalize(*picture.ends), ListedColormap(table(picture.palette) / 255.0))
+        figure.colorbar(bar, ax=axes, label=label(picture.unit or "1"), shrink=0.8)
+    elif picture.legend:
+        patches = [Patch(color=colour, label=label(name)) for name, colour in picture.legend]
+        figure.legend(handles=patches, loc="outside lower center", ncols=4, fontsize=7, frameon=False)
+    file = io.BytesIO()
+    figure.savefig(file, format=kind, dpi=150)
+    return file.getvalue()
+
+
+def outline_of(shot: Shot, name: str) -> bytes:
+    """Return a transparent PNG with the outlines of a material's pixels."""
+    import cv2
+    from PIL import Image
+
+    numbers = [number for number, each in enumerate(shot.names) if each == name]
+    mask = np.isin(shot.material, numbers).astype(np.uint8)
+    cross = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
+    edge = (mask > 0) & (cv2.erode(mask, cross, borderValue=1) == 0)
+    beside = (cv2.dilate(edge.astype(np.uint8), cross) > 0) & ~edge
+    image = np.zeros((*mask.shape, 4), np.uint8)
+    image[beside], image[edge] = (0, 0, 0, 150), (255, 255, 255, 255)
+    file = io.BytesIO()
+    Image.fromarray(image).save(file, "PNG", compress_level=1)
+    return file.getvalue()
+
+
+def legend_of(number: NDArray[np.uint8], names: Sequence[str], colours: "MaterialColours") -> Legend:
     """Return the names and colours of the materials in a picture of their numbers, the largest first."""
-    count = np.bincount(number.ravel(), minlength=256)[: len(names)]
-    order = (int(k) for k in np.argsort(-count, kind="stable") if count[k])
-    return tuple((names[k], hexadecimal(colours_of_materials()[k])) for k in order)
+    count: dict[str, int] = {}
+    for name, each in zip(names, np.bincount(number.ravel(), minlength=NOTHING + 1), strict=False):
+        count[name] = count.get(name, 0) + int(each)
+    return tuple((name, colours.of(name)) for name in sorted(count, key=lambda name: -count[name]) if count[name])
 
 
 def _png(levels: NDArray[np.uint8], colours: NDArray[np.uint8]) -> bytes:
@@ -140,11 +263,54 @@ def _png(levels: NDArray[np.uint8], colours: NDArray[np.uint8]) -> bytes:
     return file.getvalue()
 
 
+class MaterialColours:
+    """A colour for each material by its name: the same in the list and in all pictures, whatever is edited."""
+
+    def __init__(self) -> None:
+        self._number: dict[str, int] = {}
+        self._lock = threading.Lock()
+
+    def number(self, name: str) -> int:
+        """Return the number of a material's colour in `colours_of_materials`, the next one for a new name."""
+        with self._lock:
+            return self._number.setdefault(name, len(self._number) % NOTHING)
+
+    def numbers(self, names: Sequence[str]) -> NDArray[np.uint8]:
+        """Return the number of the colour of each material of a scene, (256,); `NOTHING` beyond them."""
+        found = np.full(NOTHING + 1, NOTHING, np.uint8)
+        found[: len(names)] = [self.number(name) for name in names]
+        return found
+
+    def of(self, name: str) -> str:
+        """Return the colour of a material as CSS."""
+        return hexadecimal(colours_of_materials()[self.number(name)])
+
+
 @cache
 def colours_of_materials() -> NDArray[np.uint8]:
-    """Return a colour for each material number, (256, 3) uint8 sRGB; 255 is no surface."""
+    """Return colours to tell materials apart, (256, 3) uint8 sRGB; 255 is no surface.
+
+    Ten of Tableau are followed by the colours that are farthest, in CIE L*a*b*, from all before them: the
+    first 40 differ by ΔE*ab of 27 at least, all by 12.
+    """
+    import cv2
     from matplotlib import colormaps
 
-    colours = np.rint(255.0 * colormaps["tab20"](np.arange(256) % 20)[:, :3]).astype(np.uint8)
-    colours[255] = _NO_SURFACE
-    return colours
+    def lab(colours: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.asarray(cv2.cvtColor(colours[None] / np.float32(255.0), cv2.COLOR_RGB2LAB)[0])
+
+    axis = np.linspace(0.0, 255.0, 18, dtype=np.float32)
+    candidates = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
+    places = lab(candidates)
+    # Neither as dark as no surface nor as light as the page.
+    seen = (places[:, 0] > _DARKEST) & (places[:, 0] < _LIGHTEST)
+    candidates, places = candidates[seen], places[seen]
+    colours = np.empty((256, 3), np.float32)
+    colours[:10], colours[NOTHING] = 255.0 * np.array(colormaps["tab10"].colors), _NO_SURFACE  # type: ignore[attr-defined]
+    known = lab(colours[[*range(10), 255]])
+    far = np.linalg.norm(places[:, None] - known, axis=2).min(axis=1)
+    for number in range(10, 255):
+        best = int(far.argmax())
+        colours[number] = candidates[best]
+        far = np.minimum(far, np.linalg.norm(places - places[best], axis=1))
+    return np.rint(colours).astype(np.uint8)

@@ -6,17 +6,17 @@ of their own: the next edit cancels the one under way and does not wait for its 
 """
 
 import threading
+import time
 import traceback
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, TypeVar
-
-import numpy as np
+from typing import TypeVar
 
 from thermorender import Frame, Renderer, Scene
-from thermorender.apps.studio.pictures import Picture, picture_of
+from thermorender.apps.studio.layers import LAYERS, Learned, Plan, Shot
+from thermorender.apps.studio.pictures import MaterialColours, Picture, picture_of, quantity
 from thermorender.apps.studio.view import View
 from thermorender.errors import ThermorenderError
 from thermorender.render.pixels.parts import PixelParts
@@ -26,7 +26,12 @@ _T = TypeVar("_T")
 _ANSWERS_S = 120.0
 # Longest wait for the pages to fetch a preview before its solution begins, which would slow them down.
 _FETCHED_S = 0.1
-
+# Least time between two reports of progress [s].
+REPORTS_S = 0.2
+# Solutions that are kept to compare with.
+_KEPT = 3
+# Share of a solution that is its heat balance, where it has one.
+_HEAT = 0.9
 
 # Where edits come faster than solutions, which only delay previews then, the next solution waits for such a pause.
 PAUSE_S = 1.5
@@ -36,20 +41,24 @@ class _Newer(Exception):
     """The solution under way is outdated."""
 
 
+class _Elsewhere(Exception):
+    """A tab no longer needs what is solved for it, or another one has solved it."""
+
+
 class _Unknown(Exception):
     """An edit has no preview."""
 
 
-class _Replaced(Exception):
-    """What differences are to has been solved, or replaced, while it was solved here."""
-
-
 @dataclass
 class Seen:
-    """What a tab looks at: its view, and whom to call with the picture."""
+    """What a tab looks at: its view, the scene that it is compared with and what this one is called, and whom to call
+    with the picture and with (version, share done) of a solution under way.
+    """
 
     view: View
+    reference: tuple[Scene, str] | None
     show: Callable[[Picture], object]
+    tell: Callable[[int, float | None], object]
 
 
 @dataclass(frozen=True)
@@ -72,20 +81,22 @@ class _Solution:
 
 @dataclass(eq=False)
 class Renders:
-    """The thread that renders, and the one that solves beside it; it starts from the Renderer of the scene as saved."""
+    """The thread that renders, and the one that solves beside it; it starts from the Renderer of a scene, `base`."""
 
     renderer: Renderer
+    base: Scene
     light: Light = field(init=False)
-    saved: Renderer = field(init=False)
+    learned: Learned | None = None
+    colours: MaterialColours = field(default_factory=MaterialColours)
     _news: threading.Condition = field(default_factory=threading.Condition)
     _edit: tuple[Scene, int] | None = None
-    _reference: Scene | None = None
+    _known: list[tuple[Scene, Renderer]] = field(default_factory=list)
     _tabs: dict[str, Seen] = field(default_factory=dict)
     _waiting: dict[str, None] = field(default_factory=dict)
     _jobs: list[Callable[[], object]] = field(default_factory=list)
     _long: Callable[[], object] | None = None
     _ended: bool = False
-    _last: dict[str, tuple[View, Frame, int]] = field(default_factory=dict)
+    _last: dict[str, tuple[Shot, int]] = field(default_factory=dict)
     _pictures: dict[str, Picture] = field(default_factory=dict)
     _fetched: dict[str, Picture] = field(default_factory=dict)
     _solved: Renderer = field(init=False)
@@ -95,7 +106,8 @@ class Renders:
     _solver: threading.Thread | None = None
 
     def __post_init__(self) -> None:
-        self.saved = self._solved = self.renderer
+        self._solved = self.renderer
+        self._known.append((self.base, self.renderer))
         self.light = Light(self.renderer, 0, "exact", True)
         self._thread = threading.Thread(target=self._run, name="studio renders", daemon=True)
 
@@ -118,18 +130,22 @@ class Renders:
             self._edit = (scene, version)
             self._news.notify_all()
 
-    def compare_with(self, scene: Scene) -> None:
-        """Take a scene as what differences are to; it is solved when a tab first asks for one."""
+    def look(
+        self, tab: str, view: View, show: Callable[[Picture], object], reference: tuple[Scene, str] | None = None,
+        tell: Callable[[int, float | None], object] = lambda version, share: None,
+    ) -> None:  # fmt: skip
+        """Show a tab its view, beside or minus that of the scene `reference`, which its second member names. `show` and
+        `tell`, of (version, share done or None at its end) of a solution, are called from other threads.
+        """
         with self._news:
-            self._reference = scene
-            self._waiting |= dict.fromkeys(self._tabs)
+            self._tabs[tab] = Seen(view, reference, show, tell)
+            self._waiting[tab] = None
             self._news.notify_all()
 
-    def look(self, tab: str, view: View, show: Callable[[Picture], object]) -> None:
-        """Show a tab its view; `show` is called from the thread that renders."""
+    def again(self) -> None:
+        """Show all tabs their views again."""
         with self._news:
-            self._tabs[tab] = Seen(view, show)
-            self._waiting[tab] = None
+            self._waiting |= dict.fromkeys(self._tabs)
             self._news.notify_all()
 
     def forget(self, tab: str) -> None:
@@ -171,11 +187,11 @@ class Renders:
 
     def parts(self, tab: str, pixel: tuple[int, int]) -> PixelParts | None:
         """Return the parts of the radiance at a (row, column) of a tab's frame; for the thread that renders."""
-        frame = self.frame(tab)
-        if frame is None:
+        shot, _ = self.shown(tab)
+        if shot is None or shot.frame is None:
             return None
         try:
-            return self.light.renderer.parts_at(frame.pose, [pixel], frame.time_s)[0]
+            return shot.renderer.parts_at(shot.frame.pose, [pixel], shot.frame.time_s)[0]
         except ThermorenderError:
             return None
 
@@ -189,9 +205,15 @@ class Renders:
         return picture
 
     def frame(self, tab: str) -> Frame | None:
-        """Return the latest Frame of a tab."""
+        """Return the latest Frame of a tab; None from above."""
         known = self._last.get(tab)
-        return known[1] if known else None
+        return known[0].frame if known else None
+
+    def shown(self, tab: str) -> tuple[Shot | None, Picture | None]:
+        """Return the latest Shot of a tab and its Picture."""
+        with self._news:
+            known = self._last.get(tab)
+            return (known[0] if known else None), self._pictures.get(tab)
 
     def _run(self) -> None:
         while True:
@@ -201,6 +223,8 @@ class Renders:
                     return
                 asked = self._asked()
                 edit, self._edit = self._edit, None
+                # What a fault is about: the edit or the solution at hand, or what is shown.
+                version = edit[1] if edit else self._found[0].version if self._found else self.light.version
             try:
                 if not asked:
                     # In the pause after a picture, so that the preview of the next edit need not wait for it.
@@ -219,7 +243,7 @@ class Renders:
             except _Newer:
                 pass  # A later edit is waiting, and the loop takes it next.
             except Exception as error:  # The pages show it; the thread goes on, since all pictures come from it.
-                self._report(_sentence(error))
+                self._report(_sentence(error), version)
 
     def _asked(self) -> bool:
         return bool(self._ended or self._edit or self._found or self._waiting or self._jobs or self._long)
@@ -227,10 +251,10 @@ class Renders:
     def _unready(self) -> bool:
         return bool(self._pictures) and self._ready is not self.light.renderer
 
-    def _report(self, sentence: str) -> None:
+    def _report(self, sentence: str, version: int) -> None:
         for seen in list(self._tabs.values()):
             try:
-                seen.show(Picture.of_fault(sentence, self.light.version))
+                seen.show(Picture.of_fault(sentence, version))
             except Exception as error:  # The terminal shows it; the other tabs still need their report.
                 traceback.print_exception(error)
 
@@ -247,10 +271,30 @@ class Renders:
         self._between(what, share)
         if found := self._found:
             self._found = None
-            self._guarded(partial(self._take, *found))
+            self._guarded(partial(self._take, *found), found[0].version)
+
+    def _tell(self, version: int, share: float | None) -> None:
+        for seen in list(self._tabs.values()):
+            seen.tell(version, share)
+
+    def _progress(self, version: int, scene: Scene) -> Callable[[str, float], None]:
+        """A function of (what, share) that tells the tabs the share of a solution that is done, which never falls."""
+        heat = not scene.temperature_state.solved
+        done, at = 0.0, 0.0
+
+        def report(what: str, share: float) -> None:
+            nonlocal done, at
+            part = share if not heat else _HEAT * share if "heat balance" in what else _HEAT + (1.0 - _HEAT) * share
+            done = max(done, part)
+            if time.monotonic() - at > REPORTS_S:
+                at = time.monotonic()
+                self._tell(version, done)
+
+        return report
 
     def _edited(self, scene: Scene, version: int) -> None:
         """Show the preview of an edit, if it has one, and begin its solution."""
+        self._tell(version, 0.0)
         with self._news:
             # The one under way is outdated, and ends at its next step.
             hurried, self._solving = self._solving is not None, (solution := _Solution(scene, version))
@@ -258,7 +302,8 @@ class Renders:
         made = self._preview(scene)
         if made is not None:
             errors = made.baked.errors_mk
-            words = f"preview ± {errors['preview']:.3g} mK, {errors['preview_rms']:.2g} mK RMS"
+            rms, most = (quantity(1e-3 * errors[name], "K") for name in ("preview_rms", "preview"))
+            words = f"preview ± {rms} RMS, {most} at most"
             self._show(Light(made, version, words, False))
             with self._news:
                 self._news.wait_for(lambda: self._asked() or self._fetched == self._pictures, _FETCHED_S)
@@ -282,10 +327,12 @@ class Renders:
         self, solution: _Solution, start: Renderer, pause_s: float, before: threading.Thread | None
     ) -> None:  # fmt: skip
         """Solve a scene beside the thread that renders, after a pause and after the solution before has ended."""
+        report = self._progress(solution.version, solution.scene)
 
         def under_way(what: str, share: float) -> None:
             if self._solving is not solution or self._ended:
                 raise _Newer
+            report(what, share)
 
         with self._news:
             self._news.wait_for(lambda: self._solving is not solution or self._ended, pause_s)
@@ -309,9 +356,11 @@ class Renders:
         if solution is not self._solving:
             return
         self._solving = None
+        self._tell(solution.version, None)
         if isinstance(found, Exception):
             raise found
         self._solved = found
+        self._keep(solution.scene, found)
         self._show(Light(found, solution.version, "exact", True))
 
     def _exact(self, scene: Scene, start: Renderer, progress: Callable[[str, float], object]) -> Renderer:
@@ -323,23 +372,28 @@ class Renders:
         _ = made.baked
         return made
 
-    def _solve_reference(self) -> None:
-        """Solve what differences are to, unless it is solved."""
-        while (wanted := self._reference) is not None:
+    def _keep(self, scene: Scene, found: Renderer) -> None:
+        with self._news:
+            self._known = [*(each for each in self._known if each[0] is not scene), (scene, found)][-_KEPT:]
 
-            def under_way(what: str, share: float, wanted: Scene = wanted) -> None:
-                self._between(what, share)
-                # Other tabs, which are served meanwhile, may have needed it too.
-                if self._reference is not wanted:
-                    raise _Replaced
+    def _reference(self, tab: str, seen: Seen, scene: Scene) -> Renderer:
+        """The Renderer of a scene that a tab is compared with; it is solved unless it is known."""
+        found = next((known for of, known in self._known if of is scene), None)
+        if found is not None:
+            return found
+        report = self._progress(self.light.version, scene)
 
-            try:
-                found = self._exact(wanted, self._solved, under_way)
-            except _Replaced:
-                continue
-            with self._news:
-                if self._reference is wanted:
-                    self.saved, self._reference = found, None
+        def under_way(what: str, share: float) -> None:
+            self._between(what, share)
+            # The tab may look elsewhere meanwhile, or another one may have needed the same solution.
+            if self._tabs.get(tab) is not seen or any(of is scene for of, _ in self._known):
+                raise _Elsewhere
+            report(what, share)
+
+        found = self._exact(scene, self._solved, under_way)
+        self._tell(self.light.version, None)
+        self._keep(scene, found)
+        return found
 
     def _show(self, light: Light) -> None:
         self.light = light
@@ -363,44 +417,62 @@ class Renders:
                 continue
             self._guarded(partial(self._show_in, tab, seen))
 
-    def _guarded(self, job: Callable[[], object]) -> None:
+    def _guarded(self, job: Callable[[], object], version: int | None = None) -> None:
         """Call a function whose fault must not end a solution under way."""
         try:
             job()
         except _Newer:
             raise
         except Exception as error:
-            self._report(_sentence(error))
+            self._report(_sentence(error), self.light.version if version is None else version)
 
     def _show_in(self, tab: str, seen: Seen) -> None:
+        if LAYERS[seen.view.layer].terms and not self.light.exact:
+            return  # A preview has no terms of the heat balance; the exact solution is under way.
         try:
-            made = self._picture(tab, seen.view)
+            made = self._picture(tab, seen)
+        except _Elsewhere:
+            with self._news:
+                if self._tabs.get(tab) is seen:
+                    self._waiting[tab] = None
+            return
         except ThermorenderError as error:
             made = Picture.of_fault(str(error), self.light.version)
         with self._news:
             # During a solution that this view needed, the tab may have been shown a later one, or closed.
             if self._tabs.get(tab) is not seen and tab not in self._waiting:
                 return
-            self._pictures[tab] = made
+            if made.data:
+                self._pictures[tab] = made
         seen.show(made)
 
-    def _picture(self, tab: str, view: View) -> Picture:
-        light, (known, last, version) = self.light, self._last.get(tab, (None, None, -1))
-        pose, time_s = view.pose.matrix(), view.time_s
+    def _picture(self, tab: str, seen: Seen) -> Picture:
+        light, (last, version) = self.light, self._last.get(tab, (None, -1))
         # The exact frame after a preview has the rays of the preview, so that they differ by their light alone.
-        again = version == light.version and known is not None and (known.pose, known.time_s) == (view.pose, time_s)
-        frame = light.renderer.frame(pose, time_s, sampled_as=last if again else None)
+        again = version == light.version and last is not None and _same_place(last.view, seen.view)
+        shot = self._shot(light.renderer, seen.view, last if again else None)
         with self._news:
             if tab in self._tabs:
-                self._last[tab] = (view, frame, light.version)
-        before = None
-        if view.mode == "difference":
-            self._solve_reference()
-            before = self.saved.frame(pose, time_s, sampled_as=frame).apparent_temperature
-        colour = light.renderer.visible(pose, time_s=time_s) if view.mode == "photograph" else None
+                self._last[tab] = (shot, light.version)
+        other = None
+        if seen.reference is not None:
+            other = self._shot(self._reference(tab, seen, seen.reference[0]), seen.view, shot)
         number = (self._pictures[tab].number if tab in self._pictures else 0) + 1
-        blank = Picture(number, light.version, light.words, light.exact)
-        return picture_of(frame, view, blank, before, colour)
+        blank = Picture(number, light.version, light.words, light.exact, seen.view)
+        return picture_of(shot, other, seen.reference[1] if seen.reference else "", blank, self.colours)
+
+    def _shot(self, renderer: Renderer, view: View, like: Shot | None) -> Shot:
+        """The Shot of a view; it has the rays of `like`, which has the same place."""
+        if view.plan:
+            plan = like.plan if like is not None else None
+            return Shot(view, renderer, None, plan or Plan.of(renderer, view, renderer.scene.camera), self.learned)
+        sampled = like.frame if like is not None else None
+        frame = renderer.frame(view.pose.matrix(), view.time_s, sampled_as=sampled)
+        return Shot(view, renderer, frame, None, self.learned)
+
+
+def _same_place(one: View, other: View) -> bool:
+    return (one.pose, one.time_s, one.plan) == (other.pose, other.time_s, other.plan)
 
 
 def _sentence(error: Exception) -> str:
@@ -409,23 +481,3 @@ def _sentence(error: Exception) -> str:
         return str(error)
     traceback.print_exception(error)
     return f"the studio failed here ({type(error).__name__}), its terminal says where; undo the edit"
-
-
-def figures(frame: Frame, column: int, row: int) -> dict[str, Any] | None:
-    """Return what a frame shows at a pixel; None outside the image."""
-    height, width = frame.radiance.shape
-    if not (0 <= column < width and 0 <= row < height):
-        return None
-    truth = frame.truth
-    number = int(truth["material"][row, column])
-    thing = int(truth["object"][row, column])
-    known = np.isfinite(truth["depth"][row, column])
-    return {
-        "apparent_k": float(frame.apparent_temperature[row, column]),
-        "radiance": float(frame.radiance[row, column]),
-        "kinetic_k": float(truth["kinetic_temperature"][row, column]),
-        "emissivity": float(truth["emissivity"][row, column]),
-        "position": tuple(float(v) for v in truth["position"][row, column]),
-        "material": frame.materials[number] if known and number < len(frame.materials) else "",
-        "object": frame.objects[thing - 1] if thing else "",
-    }

@@ -2,28 +2,36 @@
 
 import threading
 from collections.abc import Callable
-from functools import lru_cache
+from dataclasses import replace
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender import Material
 from thermorender.apps.studio.document import Document
+from thermorender.apps.studio.layers import BAND_K, top_of
 from thermorender.apps.studio.renders import Renders
 from thermorender.apps.studio.scene_files import Save, SceneFiles
 from thermorender.errors import ThermorenderError
 from thermorender.materials.mixture import parts_of
+from thermorender.output.day import solar_midnight
 from thermorender.render.geometry import refuse_other_surfaces
 
 if TYPE_CHECKING:
     from thermorender import Renderer, Scene
-    from thermorender.apps.studio.ground import Layer
     from thermorender.apps.studio.page import Tab
 
-# Edits that undo can take back.
-MOST_EDITS = 300
-# Temperature for band emissivities [K].
-BAND_K = 300.0
+# Edits that undo can take back, and moves between them by which outdated edits are told.
+MOST_EDITS, _MOST_MOVES = 300, 1000
+# Scenes of documents that are kept, so that each is solved once.
+_SCENES = 8
+# Places along a side at which the scene is seen from above, for what covers how much of it.
+_PLACES = 800
+# A surface with texels so many times the finest is land around the scene; so are faces beyond all but a share of them,
+# where they reach so many times as far.
+_COARSE, _TAIL, _WIDER = 8.0, 0.05, 3.0
 
 
 class Outdated(ThermorenderError):
@@ -31,25 +39,23 @@ class Outdated(ThermorenderError):
 
 
 class History:
-    """The edits of a scene, and the number of the version that all tabs show."""
+    """The edits of a scene. Each has a number, its version, which undo and redo bring back."""
 
     def __init__(self, first: Document) -> None:
-        self._steps: list[tuple[Document, str]] = [(first, "")]
-        # The version counts every edit, undo and redo, so that no two states have the same number.
-        self._at = self.version = 0
-        # Who made the current version, and the first version since which nobody else made one.
-        self._by, self._since = "", 0
-
-    def _count(self, by: str) -> bool:
-        if by != self._by:
-            self._by, self._since = by, self.version
-        self.version += 1
-        return True
+        self._steps: list[tuple[Document, str, int]] = [(first, "", 0)]
+        self._at, self._latest = 0, 0
+        # (version, who came to it), the latest last.
+        self._moves: list[tuple[int, str]] = [(0, "")]
 
     @property
     def document(self) -> Document:
         """The Document that is shown."""
         return self._steps[self._at][0]
+
+    @property
+    def version(self) -> int:
+        """The version that is shown."""
+        return self._steps[self._at][2]
 
     @property
     def undoes(self) -> str:
@@ -60,6 +66,18 @@ class History:
     def redoes(self) -> str:
         """What redo would do again; "" for nothing."""
         return self._steps[self._at + 1][1] if self._at + 1 < len(self._steps) else ""
+
+    @property
+    def entries(self) -> list[tuple[int, str, int]]:
+        """(version, what its edit was, steps from the version that is shown) of all versions, in order."""
+        return [(version, what, k - self._at) for k, (_, what, version) in enumerate(self._steps)]
+
+    def document_of(self, version: int) -> Document:
+        """Return the Document of a version."""
+        for document, _, number in self._steps:
+            if number == version:
+                return document
+        raise ThermorenderError(f"version {version} is no longer there; choose one of the list of edits")
 
     def edit(
         self, version: int, what: str, change: Callable[[Document], Document], check: Callable[[Document], object],
@@ -73,30 +91,41 @@ class History:
         if made is self.document:
             return False
         check(made)
-        self._steps = [*self._steps[: self._at + 1], (made, what)][-MOST_EDITS:]
-        self._at = len(self._steps) - 1
-        return self._count(by)
+        self._latest += 1
+        self._steps = [*self._steps[: self._at + 1], (made, what, self._latest)][-MOST_EDITS:]
+        self._moved(len(self._steps) - 1, by)
+        return True
+
+    def _moved(self, at: int, by: str) -> None:
+        self._at = at
+        self._moves = [*self._moves, (self.version, by)][-_MOST_MOVES:]
 
     def refuse_outdated(self, version: int, by: str = "") -> None:
-        """Raise unless `version` is the current one, or all later ones are of the same tab."""
-        if version != self.version and not (by and by == self._by and self._since <= version < self.version):
-            raise Outdated(
-                f"this tab showed version {version}, and another tab has changed the tables since (version "
-                f"{self.version}); nothing was changed, look at the new values and repeat the edit"
-            )
+        """Raise unless `version` is the current one, or all moves from it were of the same tab."""
+        for number, who in reversed(self._moves):
+            if number == version:
+                return
+            if not by or who != by:
+                break
+        raise Outdated(
+            f"this tab showed version {version}, and another tab has changed the tables since (version "
+            f"{self.version}); nothing was changed, look at the new values and repeat the edit"
+        )
 
     def step(self, version: int, steps: int, by: str = "") -> bool:
-        """Undo one edit (−1) or redo one (+1); return whether there is one."""
+        """Undo (−) or redo (+) so many edits for the tab `by`; return whether there are as many."""
         self.refuse_outdated(version, by)
-        if not 0 <= self._at + steps < len(self._steps):
+        if not steps or not 0 <= self._at + steps < len(self._steps):
             return False
-        self._at += steps
-        return self._count(by)
+        self._moved(self._at + steps, by)
+        return True
 
     def loaded(self, first: Document) -> None:
         """Take over a Document from files; edits before it are gone."""
-        self._steps, self._at = [(first, "")], 0
-        self._by, self.version = "", self.version + 1
+        self._latest += 1
+        self._steps = [(first, "", self._latest)]
+        self._moves = []
+        self._moved(0, "")
 
 
 class Session:
@@ -106,12 +135,12 @@ class Session:
         self.quality = quality
         self.files = files or SceneFiles(renderer.scene)
         self.history = History(self.files.origin)
-        self.renders = Renders(renderer)
+        self.renders = Renders(renderer, self.files.scene)
         self.tabs: list[Tab] = []
-        self.labels: list[dict[str, Any]] = []  # GeoJSON features to train a map on
-        self.learned: dict[str, Layer] = {}  # What the latest training gave
+        self.labels: list[list[dict[str, Any]]] = []  # GeoJSON features of each label to train a map on
         # Held by the training under way; set to end it.
         self.training, self.stop_training = threading.Lock(), threading.Event()
+        self._scenes: list[tuple[Document, Scene]] = [(self.files.origin, self.base)]
         self._scene: Scene = self.base
         # Held by the edit, step, reload or write under way, in whatever thread.
         self._editing = threading.RLock()
@@ -136,27 +165,39 @@ class Session:
         """The Document that is shown."""
         return self.history.document
 
-    def edit(self, version: int, what: str, change: Callable[[Document], Document], by: str = "") -> None:
-        """Change the Document for a tab, render it, and tell all tabs; ThermorenderError where it is refused."""
-        with self._editing:
-            if self.history.edit(version, what, change, self._use, by):
-                self._render(by)
+    @property
+    def unsaved(self) -> bool:
+        """Whether the Document differs from the files; its instant is not saved."""
+        now, saved = self.document, self.files.saved
+        parts = [(each.library.keys(), each.classes, each.objects, each.painted) for each in (now, saved)]
+        return parts[0] != parts[1] or bool(now.changed(saved))
 
-    def step(self, version: int, steps: int, by: str = "") -> None:
-        """Undo one edit (−1) or redo one (+1) for a tab."""
+    def edit(self, version: int, what: str, change: Callable[[Document], Document], by: str = "") -> bool:
+        """Change the Document for a tab, render it, and tell all tabs; return whether it differs. ThermorenderError
+        where it is refused.
+        """
         with self._editing:
-            if self.history.step(version, steps, by):
+            if differs := self.history.edit(version, what, change, self._use, by):
+                self._render(by)
+            return differs
+
+    def step(self, version: int, steps: int, by: str = "") -> bool:
+        """Undo (−) or redo (+) so many edits for a tab; return whether there are as many."""
+        with self._editing:
+            if stepped := self.history.step(version, steps, by):
                 self._use(self.document)
                 self._render(by)
+            return stepped
 
     def reload(self, scene: "Scene") -> None:
         """Take over the scene as its files describe it now; ThermorenderError if its surfaces are other ones."""
         with self._editing:
             refuse_other_surfaces(self.base.surfaces, scene.surfaces)
             self.files, self._scene = SceneFiles(scene), scene
+            self._scenes = [(self.files.origin, scene)]
             self.history.loaded(self.files.origin)
-            self.renders.compare_with(scene)
             self._render()
+            self._saved()
 
     def write(self, save: Save) -> None:
         """Write a Save; the edits count as saved: differences begin from them, and undo still goes behind them."""
@@ -167,29 +208,112 @@ class Session:
                     "Save again to see all changes"
                 )
             self.files.write(save)
-            self.renders.compare_with(self._scene)
-            for tab in list(self.tabs):
-                tab.refresh()
+            self._saved()
+
+    def _saved(self) -> None:
+        """Show all tabs what is saved now."""
+        for tab in list(self.tabs):
+            tab.later(tab.saved)()
 
     def _use(self, document: Document) -> None:
-        scene = document.scene(self.base, self.files.origin)
+        scene = self._scene_of(document)
         scene.refuse_disagreement()
+        try:
+            refuse_other_surfaces(self.base.surfaces, scene.surfaces)
+        except ThermorenderError:
+            # Such as of an object whose temperature follows the heat balance: faces beside it are split for that.
+            raise ThermorenderError(
+                "this edit changes the faces of the scene, which the studio keeps; make it in scene.toml, and open the "
+                "scene again"
+            ) from None
         self._scene = scene
+
+    def _scene_of(self, document: Document) -> "Scene":
+        """The Scene of a Document, the same one while it is used."""
+        for known, scene in self._scenes:
+            if known is document:
+                return scene
+        scene = document.scene(self.base, self.files.origin)
+        self._scenes = [*self._scenes, (document, scene)][-_SCENES:]
+        return scene
+
+    def reference(self, against: str) -> "tuple[Scene, str] | None":
+        """Return (scene, its name) of what a view is compared with, as of `View.against`; None for nothing."""
+        if not against:
+            return None
+        with self._editing:
+            if against == "saved":
+                return self._scene_of(self.files.saved), "the saved scene"
+            kind, _, text = against.partition(" ")
+            if kind == "version":
+                return self._scene_of(self.history.document_of(int(text))), against
+            time = self.at_hour(float(text))
+            known = next((of for of, _ in self._scenes if _is_at(of, self.document, time)), None)
+            return self._scene_of(known or replace(self.document, time=time)), f"solar hour {float(text):g}"
+
+    @property
+    def midnight(self) -> np.datetime64:
+        """Start of the local solar day of the scene's time."""
+        assert self.base.time is not None
+        return solar_midnight(self.base.time, self.base.weather.longitude_deg)
+
+    def at_hour(self, hour: float) -> np.datetime64:
+        """Return the instant of a solar hour; ThermorenderError in a scene whose temperatures do not follow it."""
+        if not self.base.temperature_state.weather_driven or self.base.time is None:
+            raise ThermorenderError(
+                f'{self.base.name} has the same temperatures at every hour; give it the temperature "balance"'
+            )
+        return self.midnight + np.timedelta64(round(3600.0 * hour), "s")
 
     def _render(self, by: str = "") -> None:
         self.renders.solve(self._scene, self.history.version)
         for tab in list(self.tabs):
             tab.changed(by)
 
-    def shares(self) -> dict[str, float]:
-        """Return the share of the terrain's texels that each material covers; a mixture counts by its parts."""
-        numbers = [surface.material.ravel() for surface in self._scene.surfaces[: self._scene.terrain_count]]
-        count = np.sum([np.bincount(each, minlength=256) for each in numbers], axis=0)
-        shares: dict[str, float] = {}
-        for material, each in zip(self._scene.materials, count, strict=False):
+    @cached_property
+    def _from_above(self) -> tuple[NDArray[np.int64], float]:
+        """(texels under places straight from above, all over the scene (n,); area of a place [m²])."""
+        low, high = extent(self.base)
+        step = (high - low) / _PLACES
+        east, north = (low[k] + (np.arange(_PLACES) + 0.5) * step[k] for k in (0, 1))
+        place = np.stack([each.ravel() for each in np.meshgrid(east, north)], axis=-1)
+        start = np.column_stack([place, np.full(len(place), top_of(self.renders.renderer) + 1.0)])
+        _, texel = self.renders.renderer.hits(start, np.broadcast_to([0.0, 0.0, -1.0], start.shape))
+        return texel[texel >= 0], float(step.prod())
+
+    def areas(self) -> dict[str, float]:
+        """Return the area that each material covers, seen straight from above [m²]; a mixture counts by its parts."""
+        texel, each_m2 = self._from_above
+        numbers = np.concatenate([surface.material.ravel() for surface in self._scene.surfaces])
+        count = np.bincount(numbers[texel], minlength=256)
+        areas: dict[str, float] = {}
+        for material, places in zip(self._scene.materials, count, strict=False):
             for part, share in parts_of(material):
-                shares[part.name] = shares.get(part.name, 0.0) + float(share * each / max(count.sum(), 1))
-        return shares
+                areas[part.name] = areas.get(part.name, 0.0) + float(share * places) * each_m2
+        return areas
+
+    def shares(self) -> dict[str, float]:
+        """Return the share of the scene, seen straight from above, that each material covers."""
+        areas = self.areas()
+        total = sum(areas.values())
+        return {name: area / total for name, area in areas.items()} if total else {}
+
+
+def _is_at(document: Document, other: Document, time: np.datetime64) -> bool:
+    """Whether a Document is another one at an instant."""
+    parts = ("library", "classes", "objects", "painted")
+    return document.time == time and all(getattr(document, name) is getattr(other, name) for name in parts)
+
+
+def extent(scene: "Scene") -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the (east, north) of the corners of a scene's terrain, without the coarse land around it [m]."""
+    finest = min(surface.texel_m for surface in scene.near_ground)
+    fine = [surface for surface in scene.near_ground if surface.texel_m <= _COARSE * finest]
+    corner = np.concatenate([surface.vertices[surface.faces].reshape(-1, 3)[:, :2] for surface in fine])
+    low, high = corner.min(axis=0), corner.max(axis=0)
+    # A few large faces of a surface may reach to the horizon.
+    inner = np.quantile(corner, (_TAIL, 1.0 - _TAIL), axis=0)
+    return (inner[0], inner[1]) if (high - low > _WIDER * (inner[1] - inner[0])).any() else (low, high)
 
 
 @lru_cache(1000)

@@ -10,25 +10,33 @@ from nicegui import ui
 from thermorender import load_trajectory
 from thermorender.apps.studio.document import Document
 from thermorender.apps.studio.panels import VALUE_AND_VERSION, draw
-from thermorender.apps.studio.spectrum import chart
+from thermorender.apps.studio.spectrum import COLOURS, chart
 from thermorender.apps.studio.view import Pose
 from thermorender.errors import ThermorenderError
 from thermorender.units import utc_text
 
 if TYPE_CHECKING:
     from thermorender.apps.studio.page import Tab
+    from thermorender.apps.studio.stage import Stage
 
 # Steps of playing a flight: time between pictures at most this often [s].
 _STEP_S = 0.2
 _STEP_MIN = 60
 
 
+def _clock(hour: float) -> str:
+    """An hour of the day as on a clock."""
+    minutes = round(60.0 * float(hour or 0.0))
+    return f"{minutes // 60:02d}:{minutes % 60:02d}"
+
+
 class Timeline:
     """Sliders along the flight and over the day, where the scene has them."""
 
-    def __init__(self, tab: "Tab") -> None:
-        self._tab, self._session = tab, tab.session
+    def __init__(self, tab: "Tab", stage: "Stage") -> None:
+        self._tab, self._stage, self._session = tab, stage, tab.session
         self._playing = False
+        self._curves: tuple[list[dict[str, Any]], list[str]] = ([], [])  # rows of the day, and names of points
         base = self._session.base
         own = base.spec.folder / "flight.csv"
         self._flight = None
@@ -38,7 +46,7 @@ class Timeline:
             except ThermorenderError as error:
                 tab.say(str(error), "warning")
         self._box = ui.element("div").classes("tools").style("padding-top:0;padding-bottom:4px;border:0")
-        self._chart = ui.echart({"series": []}).style("height:180px;width:100%")
+        self._chart = ui.echart({"series": []}).style("height:240px;width:100%")
         self._chart.set_visibility(False)
         with self._box:
             if self._flight is not None:
@@ -58,7 +66,7 @@ class Timeline:
         """Show the view of the flight at a time [s]."""
         assert self._flight is not None
         self._clock.set_text(f"{time_s:.1f} s")
-        self._tab.turn_to(Pose.seen(self._flight.pose(time_s), self._session.base), time_s)
+        self._stage.turn_to(Pose.seen(self._flight.pose(time_s), self._session.base), time_s)
 
     async def _toggle(self) -> None:
         self._playing = not self._playing
@@ -67,11 +75,11 @@ class Timeline:
         stop = self._flight.span_s[1]
         while self._playing and not self._tab.closed:
             time_s = min(float(self._slider.value) + _STEP_S, stop)
-            number = self._tab.shown
+            number = self._stage.shown
             self._slider.set_value(time_s)
             self.fly(time_s)
             # The next picture only after this one, so that playing never queues.
-            while self._playing and self._tab.shown == number and not self._tab.closed:
+            while self._playing and self._stage.shown == number and not self._tab.closed:
                 await asyncio.sleep(_STEP_S / 4.0)
             if time_s >= stop:
                 self._playing = False
@@ -80,60 +88,79 @@ class Timeline:
     # The hour.
 
     def _hours(self, base: Any) -> None:
-        from thermorender.output.day import solar_midnight
-
-        self._midnight = solar_midnight(base.time, base.weather.longitude_deg)
-        hour = float((base.time - self._midnight) / np.timedelta64(3600, "s"))
+        hour = float((base.time - self._session.midnight) / np.timedelta64(3600, "s"))
         ui.label("Solar hour").classes("soft")
         slider = ui.slider(min=0.0, max=24.0, step=0.25, value=round(4.0 * hour) / 4.0)
-        slider.props('label aria-label="Solar hour" data-testid="hour"').style("flex:1")
+        slider.props('aria-label="Solar hour" data-testid="hour"').style("flex:1")
+        ui.label().classes("soft").style("width:44px").bind_text_from(slider, "value", _clock)
         slider.on("change", self._at, js_handler=VALUE_AND_VERSION)
+        self._hour = slider
         ui.button("Day's curve", on_click=self._day).props('flat dense data-testid="day"')
 
+    def refresh(self) -> None:
+        """Show the hour of the edits."""
+        if self._session.base.temperature_state.weather_driven:
+            time = self._session.document.time or self._session.base.time
+            hour = float((time - self._session.midnight) / np.timedelta64(3600, "s"))
+            self._hour.set_value(round(4.0 * hour) / 4.0)
+
     def _at(self, event: Any) -> None:
-        time = self._midnight + np.timedelta64(round(3600.0 * float(event.args[0])), "s")
+        time = self._session.at_hour(float(event.args[0]))
 
         def change(document: Document) -> Document:
-            return replace(document, time=time)
+            return document if document.time == time else replace(document, time=time)
 
         self._tab.edit(int(event.args[1]), f"time {utc_text(time)}", change)
 
     def _day(self) -> None:
-        """Compute a day of the clicked pixel and of each material in the background, and draw it."""
-        from thermorender.output.day import day_frames
+        """Compute a day of the kept points and of each material in the background, and draw it."""
+        from thermorender.output.day import day_temperatures
 
-        session, pixel, pose = self._session, self._tab.pixel, self._tab.view.pose.matrix()
-        sampling, scene = session.renders.renderer.plan.sampling, session.scene
+        session, scene = self._session, self._session.scene
+        points = [(f"point {probe.name}", probe.texel) for probe in self._stage.probes if probe.texel >= 0]
+        if (picked := self._stage.picked_texel()) is not None:
+            points.append(("clicked pixel", picked))
+        names = [name for name, _ in points]
         show = self._tab.later(self._drawn)
         self._tab.say("The day is computed in the background; the curve appears below the picture.", "info")
 
         def job(progress: Any) -> None:
             rows: list[dict[str, Any]] = []
-            settings: dict[str, Any] = {"samples": sampling.samples, "taps": sampling.taps, "rays": sampling.rays}
             try:
-                for frame, row in day_frames(scene, pose, _STEP_MIN, progress, **settings):
-                    own = {} if pixel is None else {"pixel": float(frame.apparent_temperature[pixel[1], pixel[0]])}
-                    rows.append({**row, **own})
-                    show(list(rows), "")
+                for solved, row in day_temperatures(scene, _STEP_MIN, progress):
+                    kelvin = np.concatenate([surface.temperature.ravel() for surface in solved.surfaces])
+                    rows.append({**row, **{name: float(kelvin[texel]) for name, texel in points}})
+                    show(list(rows), names, "")
             except ThermorenderError as error:
-                show(rows, str(error))
+                show(rows, names, str(error))
 
         session.renders.later(job)
 
-    def _drawn(self, rows: list[dict[str, Any]], fault: str) -> None:
+    def _drawn(self, rows: list[dict[str, Any]], points: list[str], fault: str) -> None:
         if fault:
             self._tab.say(fault)
+        self._curves = rows, points
+        self.redraw()
+
+    def redraw(self) -> None:
+        """Draw the curves of the day, if there are some."""
+        rows, points = self._curves
         if not rows:
             return
-        names = [key for key in rows[0] if key.endswith("_mean_k") and key != "apparent_mean_k"]
-        curves = {"clicked pixel, apparent": "pixel"} if "pixel" in rows[0] else {}
+        names = [key for key in rows[0] if key.endswith("_mean_k")]
+        curves = {name: name for name in points}
         curves |= {"air": "air_k"} | {name.removesuffix("_mean_k"): name for name in names}
         series = [
             {"type": "line", "name": name, "showSymbol": False,
+             "lineStyle": {"type": "dashed" if key in points else "solid"},
              "data": [[row["solar_hour"], round(row[key], 2)] for row in rows if key in row]}
             for name, key in curves.items()
         ]  # fmt: skip
-        x, y = {"min": 0, "max": 24, "interval": 3, "name": "solar hour"}, {"scale": True, "name": "K"}
-        legend = {"type": "scroll", "top": 0, "textStyle": {"fontSize": 11}}
-        draw(self._chart, chart(x, y, series, top=28) | {"tooltip": {"trigger": "axis"}, "legend": legend})
+        x = {"min": 0, "max": 24, "interval": 3, "name": "solar hour"}
+        y = {"scale": True, "name": "kinetic temperature [K]", "nameLocation": "middle", "nameGap": 38}
+        legend = {"type": "scroll", "top": 0, "textStyle": {"fontSize": 11, "color": COLOURS[self._tab.dark]["ink"]}}
+        draw(
+            self._chart,
+            chart(x, y, series, top=28, dark=self._tab.dark) | {"tooltip": {"trigger": "axis"}, "legend": legend},
+        )
         self._chart.set_visibility(True)

@@ -1,32 +1,21 @@
-"""What a tab looks at: a pose that a hand can turn, how the picture is drawn, and both as a file or lines of code."""
+"""What a tab looks at: a pose that a hand can turn, and what is shown of it."""
 
-import shlex
+import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
-from thermorender.files import scratch_folder
 from thermorender.numbers import parse_numbers
 from thermorender.trajectory.path import pose as local_pose
 from thermorender.trajectory.rotations import BODY_FROM_CAMERA, ENU_FROM_NED, angles_from_rotation
-from thermorender.units import utc_text
 
 if TYPE_CHECKING:
     from thermorender import Scene
-    from thermorender.apps.studio.session import Session
 
-MODES = {
-    "apparent": "Apparent temperature",
-    "difference": "Difference to saved",
-    "display": "Camera display",
-    "photograph": "Photograph",
-    "materials": "Material map",
-    "map": "Map to paint on",
-}
 POSE_PARTS = ("E", "N", "U", "YAW", "PITCH", "ROLL")
 _LEAST_ABOVE_M, _NEAREST_M, _FARTHEST_M = 2.0, 5.0, 20_000.0
 _STEEPEST_DEG, _FLATTEST_DEG = -90.0, 5.0
@@ -109,73 +98,30 @@ class Pose:
 
 @dataclass(frozen=True)
 class View:
-    """A pose and how its picture is drawn."""
+    """A pose, what is shown of it, and how its picture is drawn."""
 
     pose: Pose
     time_s: float = 0.0  # On the tracks of moving objects [s]
-    mode: str = "apparent"  # One of `MODES`
+    plan: bool = False  # Straight from above, instead of by the camera
+    layer: str = "apparent"  # One of `layers.LAYERS`
+    # "", or what it is compared with: "saved", "version 3" or "hour 14.5"
+    against: str = ""
+    slider: bool = False  # Both side by side, instead of their difference
     palette: str = "ironbow"
-    # (float, float) or fixed ends of the colours [K]; None: as the picture needs
+    # (float, float) or fixed ends of the colours; None: as the picture needs
     limits: tuple[float, float] | None = None
 
 
 def limits_of(low: str, high: str) -> tuple[float, float] | None:
-    """Return the fixed ends of the colours from two texts [K]; None where both are empty."""
+    """Return the fixed ends of the colours from two texts; None where both are empty."""
     if not low.strip() and not high.strip():
         return None
     try:
         ends = float(low), float(high)
     except ValueError:
         raise ThermorenderError(
-            f"range={low!r}…{high!r} is not two numbers; give both ends in kelvin, or leave both empty"
+            f"range={low!r}…{high!r} is not two numbers; give both ends in the unit of the bar, or leave both empty"
         ) from None
-    if not 0.0 <= ends[0] < ends[1]:
-        raise ThermorenderError(f"range={low}…{high} is not in order; give the colder end first, in kelvin")
+    if not -math.inf < ends[0] < ends[1] < math.inf:
+        raise ThermorenderError(f"range={low}…{high} is not in order; give the lower end first, and finite numbers")
     return ends
-
-
-def exported(session: "Session", tab: str, kind: str, metres: float) -> tuple[bytes, str]:
-    """Return (contents, name) of a file of a tab's frame: png, exr, npz, tif, or map for an orthorectified GeoTIFF."""
-    frame = session.renders.frame(tab)
-    if frame is None or kind not in ("png", "exr", "npz", "tif", "map"):
-        raise ThermorenderError("there is no frame yet, or no such kind of file; reload the page")
-    name = f"{session.base.name}-{kind}.tif" if kind == "map" else f"{session.base.name}.{kind}"
-
-    def made() -> bytes:
-        with scratch_folder() as scratch:
-            path = scratch / f"frame.{'tif' if kind == 'map' else kind}"
-            (frame.orthorectified(metres) if kind == "map" else frame).save(path)
-            return path.read_bytes()
-
-    return session.renders.call(made), name
-
-
-def commands(session: "Session", view: View) -> tuple[str, str]:
-    """Return (Python, command line) that render a view; unsaved edits of tables are named, not repeated."""
-    scene, document, saved = session.base, session.document, session.files.saved
-    pose, place = view.pose.text(scene), str(scene.spec.folder)
-    numbers = pose.replace(",", ", ")
-    edits: dict[Any, str] = {key: name for key, name in document.classes.items() if name != saved.classes.get(key)}
-    objects = {key: each for key, each in document.objects.items() if each != saved.objects.get(key)}
-    edits |= {key: name for key, (name, _) in objects.items() if name != saved.objects[key][0]}
-    kelvin = {key: k for key, (_, k) in objects.items() if k != saved.objects[key][1]}
-    unsaved = document.changed(saved) + (["painted areas"] if document.painted != saved.painted else [])
-    python = [_not_here(unsaved) + f"import thermorender as tr\n\nscene = tr.load_scene({place!r})"]
-    python += [f"scene = scene.at({utc_text(document.time)!r})"] if document.time is not None else []
-    python += [f"scene = scene.with_material({edits!r})"] if edits else []
-    python += [f"scene = scene.with_objects({kelvin!r})"] if kelvin else []
-    python += [f"renderer = tr.Renderer(scene, {session.quality!r})"]
-    python += [f"frame = renderer.frame(scene.pose({numbers}), {view.time_s:g})", 'frame.save("frame.exr")', ""]
-    return "\n".join(python), _not_here(unsaved + [str(key) for key in {**edits, **kelvin}]) + command(session, view)
-
-
-def _not_here(unsaved: list[str]) -> str:
-    return f"# not saved yet, so not in these lines: {', '.join(unsaved)}\n" if unsaved else ""
-
-
-def command(session: "Session", view: View) -> str:
-    """Return the command line that renders a view of the saved scene."""
-    scene, time = session.base, session.document.time
-    options = [str(scene.spec.folder), "--quality", session.quality, f"--pose={view.pose.text(scene)}"]
-    options += ["--time", utc_text(time)] if time is not None else []
-    return shlex.join(["thermorender", "render", *options, "-o", "out"]) + "\n"
