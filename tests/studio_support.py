@@ -42,6 +42,8 @@ class Page:
         self.page.on("request", lambda each: self.outside.append(each.url) if host not in each.url else None)
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.goto(address)
+        # Before the first picture, the page does not know its version.
+        self.page.wait_for_function("() => studio.picture", timeout=WAIT_MS)
         self.settled()
 
     def part(self, name):
