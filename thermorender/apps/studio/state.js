@@ -5,6 +5,7 @@ window.studio = {
   picture: null, // what is shown
   work: null, // {version, share, ended} of the latest solution
   look: 0, // views that were asked for
+  toTell: {}, // what is said of a picture that has not arrived yet
   waiting: 0, // edits that the studio has not answered
   online: true,
   byId: (id) => document.getElementById(id),
@@ -144,7 +145,7 @@ window.studio = {
     studio.byId("notes").textContent = given.notes;
     studio.byId("legend").replaceChildren(...given.legend.map(([name, colour]) => studio.swatched(name, colour)));
     studio.say();
-    if (studio.toTell && studio.toTell.number === given.number) studio.describe(studio.toTell);
+    for (const told of Object.values(studio.toTell)) if (told.number === given.number) studio.describe(told);
     if (studio.toOutline && studio.toOutline[1] === given.number) studio.outline(...studio.toOutline);
     window.dispatchEvent(new CustomEvent("studio-shown", { detail: { version: given.version, number: given.number } }));
   },
@@ -177,7 +178,7 @@ window.studio = {
   describe(told) {
     if (!studio.picture || studio.picture.number !== told.number) {
       // Of a picture that has not arrived yet.
-      if (told.table && told.number > (studio.picture ? studio.picture.number : 0)) studio.toTell = told;
+      if (told.number > (studio.picture ? studio.picture.number : 0)) studio.toTell[told.table ? "cards" : "hover"] = told;
       return;
     }
     if (told.hover) studio.byId("hover").textContent = told.hover;
