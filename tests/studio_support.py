@@ -54,19 +54,22 @@ class Page:
         return self.page.evaluate("studio.latest")
 
     def settled(self, version=None):
-        """Wait until picture and tables show a version, and the picture is exact; return the number of that version."""
-        version = self.version if version is None else version
+        """Wait until picture and tables show a version, by default the latest after all edits that were sent, and the
+        picture is exact; return the number of that version.
+        """
         self.page.wait_for_function(
-            "v => document.getElementById('frame').dataset.version == v && studio.version == v && "
+            "given => { const v = given ?? studio.latest; return "
+            "document.getElementById('frame').dataset.version == v && studio.version == v && "
             "document.querySelector('[data-testid=state]').innerText == 'exact' && "
-            "document.querySelector('[data-testid=version]').innerText == `version ${v}`", arg=version, timeout=WAIT_MS,
+            "document.querySelector('[data-testid=version]').innerText == `version ${v}`; }",
+            arg=version, timeout=WAIT_MS,
         )  # fmt: skip
-        return version
+        return self.version if version is None else version
 
     def after(self, version):
-        """Wait until picture and tables show a later version than this one; return its number."""
+        """Wait until picture and tables show another version than this one; return its number."""
         self.page.wait_for_function("v => studio.latest != v", arg=version, timeout=WAIT_MS)
-        return self.settled(self.page.evaluate("studio.latest"))
+        return self.settled()
 
     def end(self):
         """Undo all edits and close the tab."""
