@@ -58,8 +58,8 @@ class Page:
         picture is exact; return the number of that version.
         """
         self.page.wait_for_function(
-            "given => { const v = given ?? studio.latest; return "
-            "document.getElementById('frame').dataset.version == v && studio.version == v && "
+            "given => { const frame = document.getElementById('frame'); if (!window.studio || !frame) return false; "
+            "const v = given ?? studio.latest; return frame.dataset.version == v && studio.version == v && "
             "document.querySelector('[data-testid=state]').innerText == 'exact' && "
             "document.querySelector('[data-testid=version]').innerText == `version ${v}`; }",
             arg=version, timeout=WAIT_MS,

@@ -174,7 +174,7 @@ def test_axe_finds_no_serious_violation_on_any_tab(page):
     page.page.keyboard.press("Escape")
     page.part("against").click()
     page.page.get_by_role("option", name="the saved scene").click()
-    page.part("compare-as").get_by_text("Slider").click()
+    page.part("compare-as").get_by_text("Split").click()
     page.page.wait_for_timeout(1000)
     look("slider")
     page.seen_from("From above")

@@ -346,11 +346,14 @@ def solves():
 
 
 def slow_reference(monkeypatch):
-    """Solutions of what differences are to wait for the Event that is returned, and note their scenes in the list."""
-    solved_for, going, solved = Renderer.solved_for, threading.Event(), []
+    """Solutions of what differences are to wait for the first Event that is returned, and note their scenes in the
+    list; the second Event is set when one has begun.
+    """
+    solved_for, going, solved, begun = Renderer.solved_for, threading.Event(), [], threading.Event()
 
     def slow(self, scene, progress=None):
         if threading.current_thread().name == "studio renders":
+            begun.set()
             while not going.is_set():
                 time.sleep(0.01)
                 progress("", 0.0)
@@ -358,16 +361,16 @@ def slow_reference(monkeypatch):
         return solved_for(self, scene, progress)
 
     monkeypatch.setattr(Renderer, "solved_for", slow)
-    return going, solved
+    return going, solved, begun
 
 
 def test_a_view_that_needs_a_solution_is_not_shown_after_a_later_view(session, monkeypatch):
-    going, solved = slow_reference(monkeypatch)
+    going, solved, begun = slow_reference(monkeypatch)
     renders, shown = session.renders, []
     one, two = (View(Pose.typed(pose, session.base)) for pose in ("0,-6,10,0,-55,0", "2,-6,10,0,-55,0"))
     renders.start()
     renders.look("tab", one, shown.append, (session.base.with_material(grass_green=0.5), "another"))
-    wait_for(lambda: renders.frame("tab") is not None)
+    assert begun.wait(30.0)
     renders.look("tab", two, shown.append)
     wait_for(lambda: shown)
     going.set()
@@ -375,18 +378,18 @@ def test_a_view_that_needs_a_solution_is_not_shown_after_a_later_view(session, m
     assert renders.call(lambda: 7) == 7
     assert [picture.number for picture in shown] == [1] and solved == []
     assert renders.fetch("tab") is shown[0]
-    np.testing.assert_array_equal(renders.frame("tab").pose, two.pose.matrix())
+    np.testing.assert_array_equal(renders.shown("tab")[0].frame.pose, two.pose.matrix())
 
 
 def test_two_tabs_that_compare_with_the_same_scene_share_a_solution_and_a_later_scene_counts(session, monkeypatch):
-    going, solved = slow_reference(monkeypatch)
+    going, solved, begun = slow_reference(monkeypatch)
     renders, shown = session.renders, []
     view = View(Pose.typed("0,-6,10,0,-55,0", session.base))
     first, later = (session.base.with_material(grass_green=value) for value in (0.6, 0.5))
     renders.start()
     for tab in ("one", "two"):
         renders.look(tab, view, shown.append, (first, "another"))
-    wait_for(lambda: renders.frame("two") is not None)
+    assert begun.wait(30.0)
     for tab in ("one", "two"):
         renders.look(tab, view, shown.append, (later, "a later one"))
     wait_for(lambda: not renders._waiting)

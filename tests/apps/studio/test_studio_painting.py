@@ -104,7 +104,7 @@ def test_what_a_hut_hides_is_not_painted(tmp_path):
 def test_strokes_that_are_none_are_refused_in_one_sentence(renderer):
     made = shot(renderer, "0,0,12,0,-90,0")
     for tool, points, sentence in (
-        ("polygon", [[0.1, 0.1], [0.2, 0.2]], "this stroke has 2 points; draw one of 3 … 5000"),
+        ("polygon", [[0.1, 0.1], [0.2, 0.2]], "this polygon has 2 points; draw one of 3 to 5000 points"),
         ("brush", [], "this is not a stroke on the picture"),
         ("brush", [[0.1, float("nan")]], "this is not a stroke on the picture"),
         ("look", [[0.5, 0.5]], "this is not a stroke on the picture"),

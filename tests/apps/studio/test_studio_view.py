@@ -69,7 +69,7 @@ def test_a_difference_and_a_slider_compare_with_the_saved_scene_and_with_a_versi
     assert mean == pytest.approx(abs(change.mean(dtype=float)), rel=0.01) or mean == pytest.approx(
         1e3 * abs(change.mean(dtype=float)), rel=0.01
     )
-    page.part("compare-as").get_by_text("Slider").click()
+    page.part("compare-as").get_by_text("Split").click()
     page.page.locator("#other[src]").wait_for(state="visible", timeout=WAIT_MS)
     grey = page.page.evaluate(
         """() => ["frame", "other"].map((id) => {

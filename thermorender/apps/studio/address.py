@@ -1,15 +1,16 @@
 """A view and the chosen material in the address of the page, so that reload, Back and a bookmark bring them back."""
 
 import contextlib
+import math
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlencode
 
-from thermorender.apps.studio.layers import LAYERS
+from thermorender.apps.studio.layers import layers_of
 from thermorender.apps.studio.pictures import NAMES
-from thermorender.apps.studio.view import Pose, View, limits_of
+from thermorender.apps.studio.view import Pose, View, hour_of, limits_of
 from thermorender.errors import ThermorenderError
 from thermorender.materials.csv_tables import decimal
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from thermorender import Scene
 
 # What a view may be compared with.
-_AGAINST = re.compile(r"saved|version \d{1,6}|hour \d{1,2}(\.\d+)?")
+_AGAINST = re.compile(r"saved|version \d{1,6}|hour [\d.]{1,9}")
 
 
 def query_of(view: View, scene: "Scene", material: str) -> str:
@@ -31,9 +32,11 @@ def query_of(view: View, scene: "Scene", material: str) -> str:
     return urlencode({key: value for key, value in given.items() if value}, safe=",")
 
 
-def view_at(query: Mapping[str, str], scene: "Scene", before: View) -> View:
-    """Return the View of an address; what it lacks or states wrongly is as in the view `before`."""
-    made = before
+def view_at(query: Mapping[str, str], scene: "Scene", first: View, learned: bool) -> View:
+    """Return the View of an address; what it lacks or states wrongly is as in the view `first`. `learned` is whether
+    the layers of a learned map are there.
+    """
+    made = replace(first, plan=query.get("plan") == "1", slider=query.get("slider") == "1")
 
     def state(change: Callable[[str], dict[str, Any]], key: str) -> None:
         nonlocal made
@@ -45,9 +48,25 @@ def view_at(query: Mapping[str, str], scene: "Scene", before: View) -> View:
         return lambda text: {key: text} if text in names else {}
 
     state(lambda text: {"pose": Pose.typed(text, scene)}, "pose")
-    state(lambda text: {"time_s": decimal(text)}, "t")
-    state(known("layer", LAYERS), "show")
+    state(lambda text: {"time_s": _finite(text)}, "t")
+    there = layers_of(scene, made.plan, learned)
+    made = replace(made, layer=made.layer if made.layer in there else "kinetic")
+    state(known("layer", there), "show")
     state(known("palette", NAMES), "palette")
     state(lambda text: {"limits": limits_of(*text.split(",", 1))} if "," in text else {}, "range")
-    state(lambda text: {"against": text} if _AGAINST.fullmatch(text) else {}, "against")
-    return replace(made, plan=query.get("plan") == "1", slider=query.get("slider") == "1")
+    state(_against, "against")
+    return made
+
+
+def _against(text: str) -> dict[str, Any]:
+    if not _AGAINST.fullmatch(text):
+        return {}
+    kind, _, hour = text.partition(" ")
+    return {"against": f"hour {hour_of(hour):g}" if kind == "hour" else text}
+
+
+def _finite(text: str) -> float:
+    value = decimal(text)
+    if not math.isfinite(value):
+        raise ValueError(text)
+    return value

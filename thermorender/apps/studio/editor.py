@@ -41,7 +41,7 @@ _OF_LAYERS = (
 )  # fmt: skip
 _COLUMNS = [
     {"name": "name", "label": "Material", "field": "name", "align": "left", "sortable": True},
-    {"name": "band", "label": "ε band", "field": "band", "align": "right", "sortable": True},
+    {"name": "band", "label": "Emissivity", "field": "band", "align": "right", "sortable": True},
     {"name": "share", "label": "Area", "field": "share", "align": "right", "sortable": True},
 ]
 _ROW = """
@@ -51,7 +51,7 @@ _ROW = """
   <q-td><div class="name"><span class="swatch" :class="props.row.colour ? '' : 'none'"
       :title="props.row.colour ? 'colour on the map of materials' : 'not in the scene'"
       :style="{background: props.row.colour}"></span>
-    <span class="text" :title="props.row.title">{{ props.row.name }}</span>
+    <span class="text" :title="props.row.name + (props.row.title ? ': ' + props.row.title : '')">{{ props.row.name }}</span>
     <span v-if="props.row.edited" class="edited" title="edited, not saved">●</span></div></q-td>
   <q-td class="text-right">{{ props.row.band === null ? '–' : props.row.band.toFixed(3) }}</q-td>
   <q-td class="text-right">{{ props.row.share ? (100 * props.row.share).toFixed(1) + ' %' : '' }}</q-td>
@@ -248,7 +248,7 @@ class Editor:
             with ui.element("div").classes("fields point") as self._point:
                 self._at = ui.input("Wavelength [µm]").props('dense outlined data-testid="point-wavelength"')
                 self._to = ui.input("Emissivity [1]").props('dense outlined data-testid="point-emissivity"')
-                self._width = ui.select(_WIDTHS, value=0.5, label="Neighbours follow")
+                self._width = ui.select(_WIDTHS, value=0.5, label="Moves with it")
                 self._width.props('dense outlined data-testid="width"')
                 button = ui.button("Set the point").props('outline dense data-testid="point-set"')
                 button.on("click", self._typed_point, js_handler=VERSION)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from thermorender.apps.studio.layers import LAYERS, Shot, statistics, unit_text
 from thermorender.apps.studio.pictures import Picture, figure_of
-from thermorender.apps.studio.view import View
+from thermorender.apps.studio.view import View, numbers_text, on_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.files import scratch_folder
 from thermorender.units import utc_text
@@ -38,7 +38,9 @@ def exported(session: "Session", tab: str, kind: str, metres: float) -> tuple[by
     if kind.startswith(("frame.", "map.")) and shot.frame is None:
         raise ThermorenderError("a plan has no camera frame; show the camera's view, and export again")
     base = session.base.name
-    name = f"{base}-{shot.view.layer}{'-plan' if shot.view.plan else ''}-version-{picture.version}.{kind}"
+    against = f"-minus-{shot.view.against.replace(' ', '-')}" if picture.difference else ""
+    plan = "-plan" if shot.view.plan else ""
+    name = f"{base}-{shot.view.layer}{against}{plan}-version-{picture.version}.{kind}"
     return session.renders.call(lambda: _made(session, shot, picture, kind, metres)), name
 
 
@@ -49,9 +51,10 @@ def _made(session: "Session", shot: Shot, picture: Picture, kind: str, metres: f
         values = picture.values
         if values is None:
             raise ThermorenderError(f"{picture.title} has no values; show a layer with a bar, or export the PNG")
-        return _pixels(values, _about(session, shot, picture), LAYERS[shot.view.layer].channel, kind)
+        channel = LAYERS[shot.view.layer].channel + ("_difference" if picture.difference else "")
+        return _pixels(values, _about(session, shot, picture), channel, kind)
     if kind == "table.csv":
-        return table_of(shot, session.areas()).encode()
+        return table_of(shot, picture, session.areas()).encode()
     with scratch_folder() as scratch:
         assert shot.frame is not None
         path = scratch / f"frame.{kind.rpartition('.')[2]}"
@@ -64,8 +67,10 @@ def _state(picture: Picture) -> str:
 
 
 def _about(session: "Session", shot: Shot, picture: Picture) -> dict[str, Any]:
+    time = shot.renderer.scene.time
     return {
         "scene": session.base.name, "shown": picture.title, "unit": picture.unit, "state": _state(picture),
+        "time_utc": "none" if time is None else utc_text(time), "time_on_tracks_s": f"{shot.view.time_s:g}",
         "pose": shot.view.pose.text(session.base), "quality": session.quality, "seed": session.renders.renderer.seed,
         **{name: str(each) for name, each in versions().items()},
     }  # fmt: skip
@@ -87,14 +92,14 @@ def _pixels(values: NDArray[np.float32], about: dict[str, Any], channel: str, ki
     return file.getvalue().encode()
 
 
-def table_of(shot: Shot, areas_m2: dict[str, float]) -> str:
+def table_of(shot: Shot, picture: Picture, areas_m2: dict[str, float]) -> str:
     """Return a CSV of the materials in view: share of the pixels, mean and extremes of what is shown, and area."""
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
-    unit = LAYERS[shot.view.layer].unit
-    head = [f"{each}_{unit_text(unit)}" for each in ("mean", "least", "greatest")]
+    what = "difference_" if picture.difference else ""
+    head = [f"{what}{each}_{unit_text(picture.unit)}" for each in ("mean", "least", "greatest")]
     writer.writerow(["material", "share_of_pixels", *head, "area_from_above_m2"])
-    for row in statistics(shot):
+    for row in statistics(shot, None if picture.unit == "level" else picture.values):
         area = areas_m2.get(row.name)
         numbers = ("" if value is None else f"{value:.6g}" for value in (row.mean, row.least, row.greatest))
         writer.writerow([row.name, f"{row.share:.6f}", *numbers, "" if area is None else f"{area:.6g}"])
@@ -104,7 +109,7 @@ def table_of(shot: Shot, areas_m2: dict[str, float]) -> str:
 def commands(session: "Session", view: View) -> tuple[str, str]:
     """Return (Python, command line) that render a view; unsaved edits of tables are named, not repeated."""
     scene, document, saved = session.base, session.document, session.files.saved
-    pose, place = view.pose.text(scene), str(scene.spec.folder)
+    pose, place = _local(session, view) or view.pose.text(scene), str(scene.spec.folder)
     numbers = pose.replace(",", ", ")
     edits: dict[Any, str] = {key: name for key, name in document.classes.items() if name != saved.classes.get(key)}
     objects = {key: each for key, each in document.objects.items() if each != saved.objects.get(key)}
@@ -115,8 +120,9 @@ def commands(session: "Session", view: View) -> tuple[str, str]:
     python += [f"scene = scene.at({utc_text(document.time)!r})"] if document.time is not None else []
     python += [f"scene = scene.with_material({edits!r})"] if edits else []
     python += [f"scene = scene.with_objects({kelvin!r})"] if kelvin else []
+    place_of = "scene.pose" if _local(session, view) is None else "tr.pose"
     python += [f"renderer = tr.Renderer(scene, {session.quality!r})"]
-    python += [f"frame = renderer.frame(scene.pose({numbers}), {view.time_s:g})", 'frame.save("frame.exr")', ""]
+    python += [f"frame = renderer.frame({place_of}({numbers}), {view.time_s:g})", 'frame.save("frame.exr")', ""]
     return "\n".join(python), _not_here(unsaved + [str(key) for key in {**edits, **kelvin}]) + command(session, view)
 
 
@@ -124,9 +130,18 @@ def _not_here(unsaved: list[str]) -> str:
     return f"# not saved yet, so not in these lines: {', '.join(unsaved)}\n" if unsaved else ""
 
 
+def _local(session: "Session", view: View) -> str | None:
+    """The pose of a view outside the terrain, with local up; None over the terrain."""
+    pose = view.pose
+    if on_terrain(session.base, pose.east, pose.north):
+        return None
+    return numbers_text(pose.east, pose.north, pose.up, pose.yaw_deg, pose.pitch_deg, pose.roll_deg)
+
+
 def command(session: "Session", view: View) -> str:
     """Return the command line that renders a view of the saved scene."""
-    scene, time = session.base, session.document.time
-    options = [str(scene.spec.folder), "--quality", session.quality, f"--pose={view.pose.text(scene)}"]
+    scene, time, local = session.base, session.document.time, _local(session, view)
+    options = [str(scene.spec.folder), "--quality", session.quality, f"--pose={local or view.pose.text(scene)}"]
+    options += ["--local-up"] if local else []
     options += ["--time", utc_text(time)] if time is not None else []
     return shlex.join(["thermorender", "render", *options, "-o", "out"]) + "\n"

@@ -41,10 +41,14 @@ Object.assign(studio, {
       zoom = 1;
     };
     const stroke = () => {
-      const points = studio.points, tool = studio.tool;
+      const tool = studio.tool;
+      // The second press of a double click puts its corner again.
+      const apart = (one, other) => Math.hypot(one[0] - other[0], one[1] - other[1]) > 0.004;
+      const points = tool !== "polygon" ? studio.points
+        : studio.points.filter((point, k, all) => !k || apart(point, all[k - 1]));
       studio.points = [];
       studio.draw();
-      if (points.length >= (tool === "polygon" ? 3 : 1))
+      if (points.length)
         studio.sent(emitEvent, "studio_stroke", { tool, points, version: studio.version });
     };
     const paints = () => studio.tool !== "look" && studio.tool !== "point";
@@ -58,8 +62,8 @@ Object.assign(studio, {
       studio.marking = false;
       drag = { x: e.clientX, y: e.clientY, far: 0, pan: e.shiftKey || e.button === 2 };
       if (!paints()) return;
-      if (studio.tool !== "polygon") studio.points = [share(e)];
-      else if (e.detail < 2) studio.points.push(share(e));
+      if (studio.tool === "polygon") studio.points.push(share(e));
+      else studio.points = [share(e)];
       studio.draw();
     });
     image.addEventListener("pointermove", (e) => {

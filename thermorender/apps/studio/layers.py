@@ -13,6 +13,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.scene.surface import Surface
 
 if TYPE_CHECKING:
+    from thermorender import Scene
     from thermorender.sensor.camera import Camera
 
 # Number of no material, as in `Frame.truth`.
@@ -62,6 +63,16 @@ LAYERS = {
     "learned": Layer("Learned materials"),
     "uncertainty": Layer("Standard deviation of the learned emissivity", "", "emissivity_std"),
 }
+
+
+def layers_of(scene: "Scene", plan: bool, learned: bool) -> dict[str, str]:
+    """Return the titles of the layers of a scene by the camera, or from above; `learned` where a map is known."""
+    driven = scene.temperature_state.weather_driven
+    return {
+        key: about.title for key, about in LAYERS.items()
+        if (about.plan if plan else about.camera) and (driven or not about.terms)
+        and (learned or key not in ("learned", "uncertainty"))
+    }  # fmt: skip
 
 
 def unit_text(unit: str) -> str:
@@ -131,6 +142,7 @@ class Shot:
     frame: Frame | None  # by the camera; None from above
     plan: Plan | None
     learned: Learned | None = None
+    other: "Shot | None" = None  # the same view of what it is compared with
     _values: dict[str, NDArray[np.float32]] = field(default_factory=dict)
 
     @property

@@ -45,7 +45,8 @@ class Tab:
     def __init__(self, session: Session, pose: str, query: Mapping[str, str]) -> None:
         self.session, self.key = session, secrets.token_hex(8)
         self._client, self._loop = ui.context.client, asyncio.get_running_loop()
-        first = View(Pose.typed(pose or first_pose(session), session.base))
+        # The view of an address that states none.
+        self.first = View(Pose.typed(pose or first_pose(session), session.base))
         # A timer of the tables where an edit does not show there yet, and the version that they show.
         self._behind: asyncio.TimerHandle | None = None
         self._seen = -1
@@ -59,7 +60,7 @@ class Tab:
             with ui.element("section").classes("left").props('aria-label="Materials"') as left:
                 pass
             with ui.element("section").classes("middle").props('aria-label="View"'):
-                self.stage = Stage(self, view_at(query, session.base, first))
+                self.stage = Stage(self, self._view_at(query))
             with ui.element("section").classes("right").props('aria-label="Properties"') as right:
                 pass
         self.editor = Editor(self, left, right)
@@ -184,6 +185,7 @@ class Tab:
             ui.run_javascript(f"studio.setUp(); studio.version = {self._seen}")
             ui.run_javascript(f"studio.at({self.session.history.version})")
             self.stage.connected()
+        self.remember()
 
     def _leave(self) -> None:
         self.session.renders.forget(self.key)
@@ -191,6 +193,9 @@ class Tab:
             self.session.tabs.remove(self)
 
     # The address.
+
+    def _view_at(self, query: Mapping[str, str]) -> View:
+        return view_at(query, self.session.base, self.first, self.session.renders.learned is not None)
 
     def remember(self, new: bool = False) -> None:
         """Put view and material into the address; a `new` one is a step that the browser's Back takes back."""
@@ -200,14 +205,14 @@ class Tab:
 
     def _addressed(self, event: Any) -> None:
         query = {str(key): str(value) for key, value in dict(event.args).items()}
-        self.stage.show(view_at(query, self.session.base, self.stage.view), remember=False)
+        self.stage.show(self._view_at(query), remember=False)
         self.editor.choose(query.get("material", ""))
 
     # The header.
 
     def _header(self) -> None:
         with ui.element("header").classes("bar"):
-            ui.html("<h1>Material studio</h1>", sanitize=False)
+            ui.html('<a class="skip" href="#frame">To the picture</a><h1>Material studio</h1>', sanitize=False)
             leaving.scenes_link(self.session)
             ui.label(f"{self.session.base.name} · {self.session.base.spec.title or 'untitled'}").classes("scene")
             # Written by the script, together with the picture.

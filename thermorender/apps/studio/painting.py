@@ -36,7 +36,10 @@ def texels_of(shot: Shot, tool: str, points: Any, radius_px: float) -> NDArray[n
         raise ThermorenderError("this is not a stroke on the picture; draw it again")
     least = 3 if tool == "polygon" else 1
     if not least <= len(known) <= _MOST_CORNERS:
-        raise ThermorenderError(f"this stroke has {len(known)} points; draw one of {least} … {_MOST_CORNERS}")
+        what, end = ("polygon", ", and double-click to end it") if tool == "polygon" else ("stroke", "")
+        raise ThermorenderError(
+            f"this {what} has {len(known)} points; draw one of {least} to {_MOST_CORNERS} points{end}"
+        )
     corner = known * (camera.width, camera.height)
     if tool in ("area", "alike"):
         column, row = (

@@ -266,7 +266,11 @@ class Training:
         if fault:
             self._tab.say(fault)
         else:
-            self._tab.stage.change(layer="learned")
+            stage = self._tab.stage
+            if stage.view.layer == "learned":
+                stage.look()
+            else:
+                stage.change(layer="learned")
 
 
 def tab_follows(tab: "Tab") -> Callable[[], None]:

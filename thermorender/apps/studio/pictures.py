@@ -27,6 +27,10 @@ _LEAST_DIFFERENCE = {"K": 0.01, "mK": 0.1, "W/m²": 0.1, "": 1e-4}
 # Share of the pixels at each end that may lie outside the colours [%].
 _TAILS = 0.5
 _NO_SURFACE = (24, 28, 36)
+# Levels of a palette for pixels without a value, which are hatched: a single colour may be one of the palette's.
+_VALUES, _HATCH = 254, (np.float32(254.0), np.float32(255.0))
+_HATCHES = ((96, 103, 112), (150, 157, 166))
+_HATCH_PX = 5
 # Limits of the lightness L* of colours of materials.
 _DARKEST, _LIGHTEST = 28.0, 90.0
 
@@ -42,6 +46,7 @@ class Picture:
     exact: bool
     view: View | None = None  # that it is of
     title: str = ""  # What it shows
+    difference: bool = False  # from what it is compared with
     data: bytes = b""
     kind: str = "image/png"  # Media type of the data
     other: bytes = b""  # What it is compared with, beside a slider
@@ -51,7 +56,9 @@ class Picture:
     notes: str = ""  # Mean and extremes, or why there is no picture
     legend: Legend = field(default=())  # Materials in view
     values: NDArray[np.float32] | None = field(default=None, repr=False)  # (H, W) of the pixels
-    levels: NDArray[np.uint8] | None = field(default=None, repr=False)  # (H, W) of the palette, or (H, W, 3) sRGB
+    # (H, W) of the colours, or (H, W, 3) sRGB, and those colours, (256, 3) sRGB
+    levels: NDArray[np.uint8] | None = field(default=None, repr=False)
+    colours: NDArray[np.uint8] | None = field(default=None, repr=False)
 
     @classmethod
     def of_fault(cls, sentence: str, version: int) -> "Picture":
@@ -67,7 +74,8 @@ class Picture:
         digits = max(0, min(4, 2 - int(np.floor(np.log10(across))))) if across > 0.0 else 3
         digits = min(digits, 1) if self.unit in ("mK", "W/m²") else digits
         sign = "+" if low < 0.0 and self.unit else ""
-        return [f"{value:{sign}.{digits}f}" for value in np.linspace(high, low, count)]
+        values = (round(float(value), digits) + 0.0 for value in np.linspace(high, low, count))
+        return [f"{value:{sign if value else ''}.{digits}f}".replace("-", "−") for value in values]
 
 
 @cache
@@ -79,6 +87,13 @@ def table(name: str) -> NDArray[np.uint8]:
     from matplotlib import colormaps
 
     return np.rint(255.0 * colormaps[name](np.arange(256))[:, :3]).astype(np.uint8)
+
+
+@cache
+def _table_of_values(name: str) -> NDArray[np.uint8]:
+    """The colours of a palette for values, followed by those of pixels without a value, (256, 3) uint8 sRGB."""
+    values = table(name)[np.rint(np.linspace(0.0, 255.0, _VALUES)).astype(int)]
+    return np.concatenate([values, np.array(_HATCHES, np.uint8)])
 
 
 def hexadecimal(colour: Sequence[float] | NDArray[Any]) -> str:
@@ -93,17 +108,15 @@ def gradient(name: str) -> str:
     return f"linear-gradient(to top, {', '.join(map(hexadecimal, stops))})"
 
 
-def picture_of(
-    shot: Shot, other: Shot | None, what: str, blank: Picture, colours: "MaterialColours"
-) -> Picture:  # fmt: skip
-    """Return the Picture of a Shot, filled into `blank`; it is compared with the Shot `other`, which is `what`, if any.
+def picture_of(shot: Shot, what: str, blank: Picture, colours: "MaterialColours") -> Picture:
+    """Return the Picture of a Shot, filled into `blank`; it is compared with `shot.other`, which is `what`, if any.
 
     Raises
     ------
     ThermorenderError
         The layer is not there in this view, or is not known yet.
     """
-    view, about = shot.view, LAYERS[shot.view.layer]
+    view, about, other = shot.view, LAYERS[shot.view.layer], shot.other
     if reason := shot.shows(view.layer):
         raise ThermorenderError(reason)
     blank = replace(blank, title=about.title + (", from above" if view.plan else ""))
@@ -119,13 +132,13 @@ def picture_of(
         change = values - before
         most = max(_largest(change), _LEAST_DIFFERENCE[about.unit])
         ends = view.limits or (-most, most)
-        title = f"{blank.title}, minus that of {what}"
-        return _drawn(replace(blank, title=title), change, _DIFFERENCE, ends, about.unit, words_of(change, about.unit))
+        blank = replace(blank, title=f"{blank.title}, minus that of {what}", difference=True)
+        return _drawn(blank, change, _DIFFERENCE, ends, about.unit, words_of(change, about.unit))
     every = values if before is None else np.stack([values, before])
     scale, most = (_DIFFERENCE, max(_largest(every), 1.0)) if about.signed else (view.palette, 0.0)
     ends = view.limits or ((-most, most) if about.signed else _automatic(every, about.unit))
     made = _drawn(blank, values, scale, ends, about.unit, words_of(values, about.unit))
-    return made if before is None else replace(made, other=_png(_levels(before, *ends), table(scale)))
+    return made if before is None else replace(made, other=_png(_levels(before, *ends), _table_of_values(scale)))
 
 
 def _without_values(shot: Shot, blank: Picture, colours: "MaterialColours") -> Picture:
@@ -137,30 +150,36 @@ def _without_values(shot: Shot, blank: Picture, colours: "MaterialColours") -> P
         return replace(blank, data=encoded_image(".jpg", image), kind="image/jpeg", levels=image)
     if layer == "display" and shot.frame is not None:
         level = shot.frame.display
-        made = replace(blank, data=_png(level, table(shot.view.palette)), levels=level, values=level.astype(np.float32))
+        shades = table(shot.view.palette)
+        made = replace(blank, data=_png(level, shades), levels=level, colours=shades, values=level.astype(np.float32))
         return replace(made, ends=(0.0, 255.0), palette=shot.view.palette, unit="level")
     learned = layer == "learned" and shot.learned is not None
     number = shot.learned_materials() if learned else shot.material
     names = shot.learned.names if learned and shot.learned is not None else shot.names
     words = shot.learned.words if learned and shot.learned is not None else ""
     level = colours.numbers(names)[number]
-    data = _png(level, colours_of_materials())
-    return replace(blank, data=data, levels=level, legend=legend_of(number, names, colours), notes=words)
+    shades = colours_of_materials()
+    data = _png(level, shades)
+    return replace(
+        blank, data=data, levels=level, colours=shades, legend=legend_of(number, names, colours), notes=words
+    )
 
 
 def _levels(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.uint8]:
-    scaled = (values - np.float32(low)) * np.float32(255.0 / (high - low))
-    return np.nan_to_num(np.clip(np.rint(scaled), 0.0, 255.0)).astype(np.uint8)
+    most = np.float32(_VALUES - 1)
+    scaled = np.clip(np.rint((values - np.float32(low)) * (most / np.float32(high - low))), 0.0, most)
+    row, column = (np.arange(side) for side in values.shape)
+    hatch = np.where((row[:, None] + column) // _HATCH_PX % 2, _HATCH[0], _HATCH[1])
+    return np.where(np.isnan(values), hatch, scaled).astype(np.uint8)
 
 
 def _drawn(
     blank: Picture, values: NDArray[np.float32], colours: str, ends: tuple[float, float], unit: str, notes: str
 ) -> Picture:
     levels = _levels(values, *ends)
-    data = _png(levels, table(colours))
-    return replace(
-        blank, data=data, levels=levels, values=values, ends=ends, palette=colours, unit=unit, notes=notes
-    )  # fmt: skip
+    shades = _table_of_values(colours)
+    made = replace(blank, data=_png(levels, shades), levels=levels, colours=shades, values=values)
+    return replace(made, ends=ends, palette=colours, unit=unit, notes=notes)
 
 
 def _automatic(values: NDArray[np.floating], unit: str) -> tuple[float, float]:
@@ -181,9 +200,9 @@ def words_of(values: NDArray[np.floating], unit: str) -> str:
     """Return mean and extremes of values in words."""
     known = values[np.isfinite(values)]
     if not known.size:
-        return "no value in view"
+        return "hatched: no value in view"
     mean, low, high = (quantity(each, unit) for each in (known.mean(dtype=np.float64), known.min(), known.max()))
-    return f"mean {mean}, from {low} to {high}"
+    return f"mean {mean}, from {low} to {high}" + ("" if known.size == values.size else "; hatched: no value")
 
 
 def quantity(value: float, unit: str) -> str:
@@ -208,8 +227,7 @@ def figure_of(picture: Picture, title: str, kind: str) -> bytes:
     axes = figure.add_subplot()
     levels = picture.levels
     assert levels is not None
-    legend = colours_of_materials()
-    shown = levels if levels.ndim == 3 else (table(picture.palette) if picture.ends else legend)[levels]
+    shown = levels if picture.colours is None else picture.colours[levels]
     axes.imshow(shown, interpolation="nearest")
     axes.set_axis_off()
     axes.set_title(label(title), fontsize=9)

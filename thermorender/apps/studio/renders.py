@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TypeVar
 
-from thermorender import Frame, Renderer, Scene
+from thermorender import Renderer, Scene
 from thermorender.apps.studio.layers import LAYERS, Learned, Plan, Shot
 from thermorender.apps.studio.pictures import MaterialColours, Picture, picture_of, quantity
-from thermorender.apps.studio.view import View
+from thermorender.apps.studio.view import View, same_place
 from thermorender.errors import ThermorenderError
 from thermorender.render.pixels.parts import PixelParts
 
@@ -96,8 +96,7 @@ class Renders:
     _jobs: list[Callable[[], object]] = field(default_factory=list)
     _long: Callable[[], object] | None = None
     _ended: bool = False
-    _last: dict[str, tuple[Shot, int]] = field(default_factory=dict)
-    _pictures: dict[str, Picture] = field(default_factory=dict)
+    _shown: dict[str, tuple[Shot, Picture]] = field(default_factory=dict)
     _fetched: dict[str, Picture] = field(default_factory=dict)
     _solved: Renderer = field(init=False)
     _ready: Renderer | None = None
@@ -109,6 +108,8 @@ class Renders:
         self._solved = self.renderer
         self._known.append((self.base, self.renderer))
         self.light = Light(self.renderer, 0, "exact", True)
+        # Before a tab asks, so that colours are the same whenever this scene is opened.
+        self.colours.numbers([material.name for material in self.base.materials])
         self._thread = threading.Thread(target=self._run, name="studio renders", daemon=True)
 
     def start(self) -> None:
@@ -142,16 +143,10 @@ class Renders:
             self._waiting[tab] = None
             self._news.notify_all()
 
-    def again(self) -> None:
-        """Show all tabs their views again."""
-        with self._news:
-            self._waiting |= dict.fromkeys(self._tabs)
-            self._news.notify_all()
-
     def forget(self, tab: str) -> None:
         """Drop a tab that was closed."""
         with self._news:
-            for known in (self._tabs, self._waiting, self._last, self._pictures, self._fetched):
+            for known in (self._tabs, self._waiting, self._shown, self._fetched):
                 known.pop(tab, None)
 
     def run(self, job: Callable[[], object]) -> None:
@@ -198,22 +193,15 @@ class Renders:
     def fetch(self, tab: str) -> Picture | None:
         """Return the latest Picture of a tab, for its page."""
         with self._news:
-            picture = self._pictures.get(tab)
+            _, picture = self.shown(tab)
             if picture is not None:
                 self._fetched[tab] = picture
                 self._news.notify_all()
         return picture
 
-    def frame(self, tab: str) -> Frame | None:
-        """Return the latest Frame of a tab; None from above."""
-        known = self._last.get(tab)
-        return known[0].frame if known else None
-
     def shown(self, tab: str) -> tuple[Shot | None, Picture | None]:
         """Return the latest Shot of a tab and its Picture."""
-        with self._news:
-            known = self._last.get(tab)
-            return (known[0] if known else None), self._pictures.get(tab)
+        return self._shown.get(tab, (None, None))
 
     def _run(self) -> None:
         while True:
@@ -249,7 +237,10 @@ class Renders:
         return bool(self._ended or self._edit or self._found or self._waiting or self._jobs or self._long)
 
     def _unready(self) -> bool:
-        return bool(self._pictures) and self._ready is not self.light.renderer
+        return bool(self._shown) and self._ready is not self.light.renderer
+
+    def _all_fetched(self) -> bool:
+        return all(self._fetched.get(tab) is picture for tab, (_, picture) in self._shown.items())
 
     def _report(self, sentence: str, version: int) -> None:
         for seen in list(self._tabs.values()):
@@ -306,7 +297,7 @@ class Renders:
             words = f"preview ± {rms} RMS, {most} at most"
             self._show(Light(made, version, words, False))
             with self._news:
-                self._news.wait_for(lambda: self._asked() or self._fetched == self._pictures, _FETCHED_S)
+                self._news.wait_for(lambda: self._asked() or self._all_fetched(), _FETCHED_S)
         if self._edit is None:
             work = partial(self._solve, solution, self._solved, PAUSE_S if hurried else 0.0, self._solver)
             self._solver = threading.Thread(target=work, name="studio solves", daemon=True)
@@ -329,9 +320,12 @@ class Renders:
         """Solve a scene beside the thread that renders, after a pause and after the solution before has ended."""
         report = self._progress(solution.version, solution.scene)
 
-        def under_way(what: str, share: float) -> None:
+        def refuse_outdated() -> None:
             if self._solving is not solution or self._ended:
                 raise _Newer
+
+        def under_way(what: str, share: float) -> None:
+            refuse_outdated()
             report(what, share)
 
         with self._news:
@@ -340,7 +334,7 @@ class Renders:
             before.join()
         found: Renderer | Exception
         try:
-            under_way("", 0.0)
+            refuse_outdated()
             found = self._exact(solution.scene, start, under_way)
             _ = found.baked.device  # Uploaded here, where no edit waits for it.
         except _Newer:
@@ -429,37 +423,38 @@ class Renders:
     def _show_in(self, tab: str, seen: Seen) -> None:
         if LAYERS[seen.view.layer].terms and not self.light.exact:
             return  # A preview has no terms of the heat balance; the exact solution is under way.
+        made: tuple[Shot, Picture] | None = None
         try:
-            made = self._picture(tab, seen)
+            made = self._made(tab, seen)
+            told = made[1]
         except _Elsewhere:
             with self._news:
                 if self._tabs.get(tab) is seen:
                     self._waiting[tab] = None
             return
         except ThermorenderError as error:
-            made = Picture.of_fault(str(error), self.light.version)
+            told = Picture.of_fault(str(error), self.light.version)
         with self._news:
             # During a solution that this view needed, the tab may have been shown a later one, or closed.
             if self._tabs.get(tab) is not seen and tab not in self._waiting:
                 return
-            if made.data:
-                self._pictures[tab] = made
-        seen.show(made)
+            if made is not None:
+                self._shown[tab] = made
+        seen.show(told)
 
-    def _picture(self, tab: str, seen: Seen) -> Picture:
-        light, (last, version) = self.light, self._last.get(tab, (None, -1))
+    def _made(self, tab: str, seen: Seen) -> tuple[Shot, Picture]:
+        light, (last, before) = self.light, self.shown(tab)
         # The exact frame after a preview has the rays of the preview, so that they differ by their light alone.
-        again = version == light.version and last is not None and _same_place(last.view, seen.view)
+        again = last is not None and before is not None and before.version == light.version
+        again = again and last is not None and same_place(last.view, seen.view)
         shot = self._shot(light.renderer, seen.view, last if again else None)
-        with self._news:
-            if tab in self._tabs:
-                self._last[tab] = (shot, light.version)
-        other = None
+        what = ""
         if seen.reference is not None:
-            other = self._shot(self._reference(tab, seen, seen.reference[0]), seen.view, shot)
-        number = (self._pictures[tab].number if tab in self._pictures else 0) + 1
+            of, what = seen.reference
+            shot.other = self._shot(self._reference(tab, seen, of), seen.view, shot)
+        number = before.number + 1 if before else 1
         blank = Picture(number, light.version, light.words, light.exact, seen.view)
-        return picture_of(shot, other, seen.reference[1] if seen.reference else "", blank, self.colours)
+        return shot, picture_of(shot, what, blank, self.colours)
 
     def _shot(self, renderer: Renderer, view: View, like: Shot | None) -> Shot:
         """The Shot of a view; it has the rays of `like`, which has the same place."""
@@ -469,10 +464,6 @@ class Renders:
         sampled = like.frame if like is not None else None
         frame = renderer.frame(view.pose.matrix(), view.time_s, sampled_as=sampled)
         return Shot(view, renderer, frame, None, self.learned)
-
-
-def _same_place(one: View, other: View) -> bool:
-    return (one.pose, one.time_s, one.plan) == (other.pose, other.time_s, other.plan)
 
 
 def _sentence(error: Exception) -> str:

@@ -1,7 +1,7 @@
 """The scene that a studio has open: its edits with undo and redo, what renders it, and the tabs that show it."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender import Material
+from thermorender.apps.studio.cards import Point
 from thermorender.apps.studio.document import Document
 from thermorender.apps.studio.layers import BAND_K, top_of
 from thermorender.apps.studio.renders import Renders
@@ -71,6 +72,10 @@ class History:
     def entries(self) -> list[tuple[int, str, int]]:
         """(version, what its edit was, steps from the version that is shown) of all versions, in order."""
         return [(version, what, k - self._at) for k, (_, what, version) in enumerate(self._steps)]
+
+    def has(self, version: int) -> bool:
+        """Return whether a version is still there, undone or not."""
+        return any(number == version for _, _, number in self._steps)
 
     def document_of(self, version: int) -> Document:
         """Return the Document of a version."""
@@ -140,6 +145,7 @@ class Session:
         self.labels: list[list[dict[str, Any]]] = []  # GeoJSON features of each label to train a map on
         # Held by the training under way; set to end it.
         self.training, self.stop_training = threading.Lock(), threading.Event()
+        self.points: tuple[Point, ...] = ()  # kept, in all tabs
         self._scenes: list[tuple[Document, Scene]] = [(self.files.origin, self.base)]
         self._scene: Scene = self.base
         # Held by the edit, step, reload or write under way, in whatever thread.
@@ -209,6 +215,12 @@ class Session:
                 )
             self.files.write(save)
             self._saved()
+
+    def keep(self, points: Iterable[Point]) -> None:
+        """Keep these points, and no others."""
+        self.points = tuple(points)
+        for tab in list(self.tabs):
+            tab.later(tab.stage.pointed)()
 
     def _saved(self) -> None:
         """Show all tabs what is saved now."""

@@ -65,7 +65,7 @@ def options(
             "type": "line", "name": "emissivity", "showSymbol": False, "data": _pairs(axis, value),
             "lineStyle": {"color": colours["accent"], "width": 2}, "itemStyle": {"color": colours["accent"]},
             "markArea": {"silent": True, "data": area, "itemStyle": {"color": colours["band"]},
-                         "label": {"color": colours["band_ink"], "position": "insideTop", "fontSize": 11}},
+                         "label": {"color": colours["band_ink"], "position": "insideBottom", "fontSize": 11}},
         },
         _line("lower", axis, value - std, {"stack": "spread", "lineStyle": {"opacity": 0}}),
         _line("spread", axis, 2.0 * std, {"stack": "spread", "lineStyle": {"opacity": 0},

@@ -3,21 +3,19 @@
 import json
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from nicegui import ui
-from numpy.typing import NDArray
 
-from thermorender.apps.studio import labels, painting
-from thermorender.apps.studio.layers import LAYERS, Shot, statistics
+from thermorender.apps.studio import cards, labels, painting
+from thermorender.apps.studio.layers import LAYERS, Shot, layers_of
 from thermorender.apps.studio.panels import Training, sentence_of
-from thermorender.apps.studio.pictures import NAMES, Picture, gradient, quantity
+from thermorender.apps.studio.pictures import NAMES, Picture, gradient
 from thermorender.apps.studio.timeline import Timeline
-from thermorender.apps.studio.view import Pose, View, limits_of
+from thermorender.apps.studio.view import Pose, View, hour_of, limits_of
 from thermorender.errors import ThermorenderError
-from thermorender.render.pixels.parts import PixelParts
 
 if TYPE_CHECKING:
     from thermorender.apps.studio.page import Tab
@@ -27,14 +25,11 @@ _TURN_DEG = 120.0
 _TICKS = 5
 # Words follow their picture, which their own work would delay, so long after it [s].
 _AFTER_S = 0.06
-# Parts of a pixel's radiance, in words.
-_ORIGINS = {
-    "emission": "Emission", "sky": "Reflected sky", "sun": "Reflected sun", "surroundings": "Reflected surroundings",
-    "air": "Air in between", "background": "Background",
-}  # fmt: skip
-_MOST_PROBES = 12
-# Terms of a heat balance that are not worth a row [W/m²].
-_LEAST_W_M2 = 0.05
+_MOST_POINTS = 12
+_HINTS = {
+    False: "Drag to orbit, Shift-drag to pan, wheel to zoom, click a pixel for its figures",
+    True: "Drag to pan, wheel to zoom, click a pixel for its figures",
+}
 _STAGE = """
 <div class="view"><div class="stage" id="stage" style="--width:{width};--height:{height}">
 <img id="frame" data-testid="frame" tabindex="0" draggable="false" alt="The scene as the camera sees it. Drag to orbit,
@@ -46,8 +41,7 @@ picks its pixel."><img id="other" alt="What it is compared with" hidden><img id=
 <div class="scale" id="scale" data-testid="scale"><div class="unit"></div><div class="ramp"><div class="colours"></div>
 <div class="ticks"></div></div></div></div>
 <div class="title" id="title" data-testid="picture-title"></div>
-<div class="hover" id="hover" data-testid="hover">Drag to orbit, Shift-drag to pan, wheel to zoom, click a pixel for its
-figures</div>
+<div class="hover" id="hover" data-testid="hover"></div>
 """
 _CARDS = """
 <div class="cards" id="cards"><div><h2>Pixel</h2><div class="figures" id="figures" data-testid="figures">
@@ -59,27 +53,16 @@ data-testid="legend"></div></div>
 """
 
 
-@dataclass
-class Probe:
-    """A point of the scene that a tab keeps in view."""
-
-    name: str
-    point: NDArray[np.float64]  # local [m]
-    texel: int  # of the static surfaces; −1 on a moving object
-    figures: dict[str, Any] = field(default_factory=dict)  # in the latest picture
-
-
 class Stage:
     """The view of a tab."""
 
     def __init__(self, tab: "Tab", view: View) -> None:
         self._tab, self._session, self.view = tab, tab.session, view
-        self.pixel: tuple[int, int] | None = None
-        self.probes: list[Probe] = []
-        self._under: tuple[int, int] | None = None  # the pixel under the pointer
+        self._picked: cards.Point | None = None
+        self._picking: cards.Pixel | None = None  # that a hand has picked, until the picture's figures are asked for
+        self._under: cards.Pixel | None = None  # under the pointer
         self._picture: Picture | None = None
         self._looks = 0  # views that were asked for
-        self._picked = False  # whether the material of the pixel is to be chosen in the list
         self._tools()
         camera = self._session.base.camera
         ui.html(_STAGE.format(width=camera.width, height=camera.height), sanitize=False).classes("viewbox")
@@ -109,10 +92,10 @@ class Stage:
             self._against = ui.select({"": "alone"}, value="", label="Compare with")
             self._against.props('dense outlined options-dense data-testid="against"').style("width:168px")
             self._against.on_value_change(lambda e: self._compared(str(e.value or "")))
-            self._hour = ui.number("At hour", value=12.0, min=0.0, max=24.0, step=0.5).props("dense outlined")
-            self._hour.props('data-testid="against-hour"').style("width:96px")
+            self._hour = ui.input("At hour", value="12", validation=lambda text: sentence_of(lambda: hour_of(text)))
+            self._hour.props('dense outlined hide-bottom-space data-testid="against-hour"').style("width:130px")
             self._hour.on("change", lambda: self._compared("hour"))
-            self._as = ui.toggle({False: "Difference", True: "Slider"}, value=self.view.slider)
+            self._as = ui.toggle({False: "Difference", True: "Split"}, value=self.view.slider)
             self._as.props('dense no-caps data-testid="compare-as"')
             self._as.on_value_change(lambda e: self.change(slider=bool(e.value)))
         with ui.element("div").classes("tools"):
@@ -142,14 +125,8 @@ class Stage:
         self._colour_tools.set_visibility(False)
 
     def _layers(self) -> dict[str, str]:
-        """The layers that this scene and this view have, by their titles."""
-        plan, driven = self.view.plan, self._session.base.temperature_state.weather_driven
-        learned = self._session.renders.learned is not None
-        return {
-            key: about.title for key, about in LAYERS.items()
-            if (about.plan if plan else about.camera) and (driven or not about.terms)
-            and (learned or key not in ("learned", "uncertainty"))
-        }  # fmt: skip
+        """The titles of the layers that this scene and this view have."""
+        return layers_of(self._session.base, self.view.plan, self._session.renders.learned is not None)
 
     def _tools_follow(self) -> None:
         """Let the tools show the view, and the script know the tool."""
@@ -169,6 +146,8 @@ class Stage:
         known.setdefault(chosen, chosen)
         self._against.set_options(known, value=chosen)
         self._hour.set_visibility(chosen == "hour")
+        if chosen == "hour":
+            self._hour.set_value(view.against.removeprefix("hour "))
         self._as.set_visibility(bool(chosen) and bool(about.channel))
         self._colours.set_visibility(bool(about.channel) or view.layer == "display")
         self._radius.set_visibility(tool == "brush")
@@ -189,17 +168,20 @@ class Stage:
 
     def _compared(self, against: str) -> None:
         if against == "hour":
-            against = f"hour {float(self._hour.value or 0.0):g}"
+            try:
+                against = f"hour {hour_of(self._hour.value):g}"
+            except ThermorenderError:
+                return  # The field says so.
         if against != self.view.against:
             self.change(new=True, against=against)
 
     def _fix(self, now: bool) -> None:
-        shown = self._picture if now else None
-        ends = shown.ends if shown else None
-        digits = 4 if shown and not shown.unit else 1
+        ends = self._picture.ends if now and self._picture else None
+        self.change(limits=(float(f"{ends[0]:.5g}"), float(f"{ends[1]:.5g}")) if ends else None)
+
+    def _show_ends(self) -> None:
         for k, each in enumerate(self._ends):
-            each.set_value(f"{ends[k]:.{digits}f}" if ends else "")
-        self._fixed()
+            each.set_value(f"{self.view.limits[k]:g}" if self.view.limits else "")
 
     def _fixed(self) -> None:
         low, high = (each.value or "" for each in self._ends)
@@ -215,6 +197,8 @@ class Stage:
             self._pose.props('dense outlined hide-bottom-space data-testid="pose"').style("flex:1;min-width:240px")
             self._pose.on("change", self._typed_pose)
             self._pose.set_value(self.view.pose.text(self._session.base))
+            whole = ui.button(icon="home", on_click=lambda: self.turn_to(self._tab.first.pose))
+            whole.props('flat dense round aria-label="First view" data-testid="home"').tooltip("First view")
         self.timeline = Timeline(self._tab, self)
 
     # The view.
@@ -225,8 +209,6 @@ class Stage:
         # Ends of one quantity mean nothing for another one.
         if made.layer != self.view.layer or bool(made.against) != bool(self.view.against):
             made = replace(made, limits=changes.get("limits"))
-            for each in self._ends:
-                each.set_value("")
         if made != self.view:
             self.show(made, new=new)
 
@@ -234,6 +216,7 @@ class Stage:
         """Show a view."""
         self.view = view
         self._pose.set_value(view.pose.text(self._session.base))
+        self._show_ends()
         self._tools_follow()
         self.look()
         if remember:
@@ -253,7 +236,10 @@ class Stage:
             return
         later = self._tab.later
         self._looks += 1
-        ui.run_javascript(f"studio.asked({self._looks})")
+        about = LAYERS[self.view.layer]
+        exact = f"{about.title} is known with the exact solution" if about.terms else ""
+        waits = exact, f"{reference[1]} is being solved" if reference else exact
+        ui.run_javascript(f"studio.asked({self._looks}, {json.dumps(waits)})")
         self._session.renders.look(self._tab.key, self.view, later(self._shown), reference, later(self._working))
 
     def chosen(self) -> None:
@@ -268,16 +254,16 @@ class Stage:
             ui.run_javascript(f"studio.outline({json.dumps(address)}, {self._picture.number})")
 
     def picked_texel(self) -> int | None:
-        """Return the texel of the clicked pixel; None without one."""
-        shot, _ = self._session.renders.shown(self._tab.key)
-        found = shot.figures(*self.pixel) if shot is not None and self.pixel is not None else None
-        return found["texel"] if found and found["texel"] >= 0 else None
+        """Return the texel of the picked point; None without one."""
+        return self._picked.texel if self._picked is not None and self._picked.texel >= 0 else None
 
     def refresh(self) -> None:
         """Show the current version of the edits."""
         self._tools_follow()
         self.timeline.refresh()
-        if self.view.against.startswith("hour"):
+        kind, _, version = self.view.against.partition(" ")
+        gone = kind == "version" and not self._session.history.has(int(version))
+        if kind == "hour" or gone:
             self.look()
 
     def connected(self) -> None:
@@ -325,29 +311,27 @@ class Stage:
         self._ask(self._say_under)
 
     def _pick(self, event: Any) -> None:
-        self.pixel = (int(event.args[0]), int(event.args[1]))
-        self._picked = True
+        self._picking = (int(event.args[0]), int(event.args[1]))
         self._describe()
 
     def _keep(self, event: Any) -> None:
-        """Keep the picked pixel's point as a probe."""
-        shot, _ = self._session.renders.shown(self._tab.key)
-        if shot is None or self.pixel is None:
-            return
-        found = shot.figures(*self.pixel)
-        if found is None or not found["material"]:
+        """Keep the picked point."""
+        point, kept = self._picked, self._session.points
+        if point is None or not np.isfinite(point.position).all():
             self._tab.say("this pixel shows no surface, so it cannot be kept; pick one on a surface")
             return
-        if len(self.probes) == _MOST_PROBES:
-            self._tab.say(f"{_MOST_PROBES} points are kept already; remove one first")
+        if len(kept) == _MOST_POINTS:
+            self._tab.say(f"{_MOST_POINTS} points are kept already; remove one first")
             return
-        taken = {probe.name for probe in self.probes}
-        name = next(str(number) for number in range(1, _MOST_PROBES + 1) if str(number) not in taken)
-        self.probes.append(Probe(name, np.array(found["position"]), found["texel"]))
-        self._describe()
+        taken = {each.name for each in kept}
+        name = next(str(number) for number in range(1, _MOST_POINTS + 1) if str(number) not in taken)
+        self._session.keep([*kept, replace(point, name=name)])
 
     def _drop(self, event: Any) -> None:
-        self.probes = [probe for probe in self.probes if probe.name != str(event.args)]
+        self._session.keep([point for point in self._session.points if point.name != str(event.args)])
+
+    def pointed(self) -> None:
+        """Show the points that are kept now."""
         self._describe()
 
     def _stroke(self, event: Any) -> None:
@@ -390,7 +374,8 @@ class Stage:
             "number": number, "version": picture.version, "words": picture.words, "exact": picture.exact,
             "title": picture.title, "unit": picture.unit, "notes": picture.notes, "legend": picture.legend,
             "gradient": gradient(picture.palette) if picture.ends else "", "ticks": picture.ticks(_TICKS),
-            "sides": [f"version {picture.version}", self.view.against] if picture.other else None,
+            "sides": [f"version {picture.version}", picture.view.against if picture.view else ""],
+            "hint": _HINTS[self.view.plan],
         }  # fmt: skip
         ui.run_javascript(f"studio.show({json.dumps(given)})")
 
@@ -424,122 +409,22 @@ class Stage:
         ui.run_javascript(f"studio.describe({json.dumps(told)})")
 
     def _say_under(self, shot: Shot, picture: Picture) -> dict[str, Any] | None:
-        under = self._under
-        found = None if under is None else shot.figures(*under)
-        if found is None or under is None:
-            return None
-        what = f" · {found['object'] or found['material']}" if found["material"] else " · no surface"
-        if found["apparent_k"] is not None:
-            words = f"{found['apparent_k']:.2f} K apparent"
-        else:
-            words = f"{found['kinetic_k']:.2f} K kinetic" if found["material"] else "nothing"
-        value = _value_at(picture, under)
-        if value is not None and self.view.layer not in ("apparent", "kinetic"):
-            words += f" · {LAYERS[self.view.layer].title.lower()} {value}"
-        return {"hover": words + what}
+        words = "" if self._under is None else cards.hovered(shot, picture, self._under)
+        return {"hover": words} if words else None
 
     def _describe(self) -> None:
-        picked, self._picked = self._picked, False
-        self._ask(lambda shot, picture: self._said(shot, picture, picked))
+        picking, self._picking = self._picking, None
+        self._ask(lambda shot, picture: self._below_picture(shot, picture, picking))
 
-    def _said(self, shot: Shot, picture: Picture, picked: bool) -> dict[str, Any]:
-        """What stands below a picture."""
-        told: dict[str, Any] = {"marks": [], "probes": [], "table": self._table(shot, picture)}
-        for probe in self.probes:
-            place = shot.pixel_of(probe.point)
-            found = None if place is None else shot.figures(*place)
-            probe.figures = found or {}
-            row = [probe.name, found["material"] if found else "not in view", *_kelvins(found)]
-            told["probes"].append([*row, (_value_at(picture, place) or "") if place else ""])
-            if place is not None:
-                told["marks"].append([*_centre(place, shot), probe.name])
-        if self.pixel is not None:
-            found = shot.figures(*self.pixel)
-            if found is not None:
-                parts = self._session.renders.parts(self._tab.key, (self.pixel[1], self.pixel[0]))
-                told["figures"] = self._rows(found, parts, picture)
-                told["parts"] = _part_rows(parts)
-                told["heat"] = _heat_rows(shot.heat_at(*self.pixel))
-                told["marks"].append([*_centre(self.pixel, shot), ""])
-                if picked and found["material"] and not found["object"]:
-                    told["picked_material"] = found["material"]
+    def _below_picture(self, shot: Shot, picture: Picture, picking: cards.Pixel | None) -> dict[str, Any]:
+        """What stands below a picture, after a hand has picked the pixel `picking`."""
+        session = self._session
+        if picking is not None:
+            self._picked = cards.Point.at(shot, picking)
+        place = self._picked.pixel_in(shot) if self._picked is not None else None
+        parts = None if place is None else session.renders.parts(self._tab.key, (place[1], place[0]))
+        told = cards.below(shot, picture, self._picked, session.points, parts, session.areas(), session.renders.colours)
+        found = shot.figures(*picking) if picking is not None else None
+        if found and found["material"] and not found["object"]:
+            told["picked_material"] = found["material"]
         return told
-
-    def _rows(self, found: dict[str, Any], parts: PixelParts | None, picture: Picture) -> list[tuple[str, str]]:
-        assert self.pixel is not None
-        rows = [("Pixel", f"column {self.pixel[0]}, row {self.pixel[1]}")]
-        if (value := _value_at(picture, self.pixel)) is not None and self.view.layer != "apparent":
-            rows.append(("Shown here", value))
-        if found["apparent_k"] is not None:
-            rows += [
-                ("Apparent temperature", f"{found['apparent_k']:.3f} K"),
-                ("Radiance", f"{found['radiance']:.4f} W m⁻² sr⁻¹"),
-            ]
-        if not found["material"]:
-            return [*rows, ("Surface", "none: sky, or ground beyond the scene")]
-        east, north, up = found["position"]
-        return [
-            *rows,
-            ("Kinetic temperature", f"{found['kinetic_k']:.3f} K"),
-            ("Band emissivity", f"{found['emissivity']:.4f}"),
-            ("Material", found["material"]),
-            *([("Object", found["object"])] if found["object"] else []),
-            *([("View angle", f"{parts.angle_deg:.1f}°")] if parts and math.isfinite(parts.angle_deg) else []),
-            ("Position E, N, up", f"{east:.1f}, {north:.1f}, {up:.1f} m"),
-        ]
-
-    def _table(self, shot: Shot, picture: Picture) -> list[list[str]]:
-        """Rows of the materials in view: name, colour, share of the pixels, mean, extremes, area from above."""
-        areas, unit = self._session.areas(), picture.unit
-        values = picture.values if picture.unit != "level" else None
-        shown: list[list[str]] = []
-        for row in statistics(shot, values):
-            of = [None if each is None else quantity(each, unit) for each in (row.mean, row.least, row.greatest)]
-            area = areas.get(row.name)
-            colour = self._session.renders.colours.of(row.name)
-            figures = ["" if each is None else each for each in of]
-            shown.append([row.name, colour, f"{row.share:.1%}", *figures, "" if area is None else f"{area:.4g} m²"])
-        return shown
-
-
-def _value_at(picture: Picture, place: tuple[int, int]) -> str | None:
-    """The value that a picture shows at a (column, row), with its unit; None without one."""
-    if picture.values is None or picture.unit == "level":
-        return None
-    value = float(picture.values[place[1], place[0]])
-    return quantity(value, picture.unit) if math.isfinite(value) else "none"
-
-
-def _kelvins(found: dict[str, Any] | None) -> list[str]:
-    if found is None:
-        return ["", ""]
-    apparent = found["apparent_k"]
-    return ["" if apparent is None else f"{apparent:.2f} K", f"{found['kinetic_k']:.2f} K"]
-
-
-def _centre(place: tuple[int, int], shot: Shot) -> list[float]:
-    """The middle of a pixel as shares of the picture."""
-    height, width = shot.texels.shape
-    return [(place[0] + 0.5) / width, (place[1] + 0.5) / height]
-
-
-def _part_rows(parts: PixelParts | None) -> list[list[str]]:
-    """Rows of the parts of a pixel's radiance: name, words, radiance, kelvins."""
-    if parts is None:
-        return []
-    return [
-        [
-            name,
-            _ORIGINS.get(name, name),
-            f"{round(part, 4) + 0.0:.4f}",
-            quantity(round(parts.kelvin[name], 4) + 0.0, "K"),
-        ]
-        for name, part in parts.radiance.items()
-        if part or parts.kelvin[name]
-    ]
-
-
-def _heat_rows(terms: dict[str, float]) -> list[list[str]]:
-    """Rows of the terms of a heat balance, gains first, and their sum."""
-    rows = [[LAYERS[name].title, quantity(value, "W/m²")] for name, value in terms.items() if abs(value) >= _LEAST_W_M2]
-    return [*rows, ["Sum", quantity(sum(terms.values()), "W/m²")]] if rows else []

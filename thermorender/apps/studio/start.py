@@ -150,6 +150,7 @@ class Start:
             self._shown = shown
             self._state_box.set_visibility(bool(words or self._told or session))
             self._work.set_visibility(bool(words))
+            self._state_box.classes(add="busy" if words else "", remove="" if words else "busy")
             self._open.set_visibility(session is not None)
             self._work_words.set_text(words)
             self._progress.props["value"] = f"{busy.share:.3f}" if busy else "0"

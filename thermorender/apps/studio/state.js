@@ -5,6 +5,7 @@ window.studio = {
   picture: null, // what is shown
   work: null, // {version, share, ended} of the latest solution
   look: 0, // views that were asked for
+  waits: ["", ""], // why the view that was asked for waits for a solution: after an edit, and without one
   toTell: {}, // what is said of a picture that has not arrived yet
   waiting: 0, // edits that the studio has not answered
   online: true,
@@ -45,8 +46,9 @@ window.studio = {
     studio.latest = version;
     studio.say();
   },
-  asked(look) {
+  asked(look, waits) {
     studio.look = look;
+    studio.waits = waits;
     studio.say();
   },
   working(version, share) {
@@ -74,7 +76,7 @@ window.studio = {
     }
     if (shown.look !== studio.look && share === null) return ["rendering …", "preview"];
     if (!shown.exact) return [share === null ? shown.words : `${shown.words} · ${solving}`, "preview"];
-    return [share === null ? shown.words : `${shown.words} · ${solving} of the comparison`, share === null ? "" : "preview"];
+    return share === null ? [shown.words, ""] : [`comparison: ${solving}`, "preview"];
   },
   say() {
     const state = studio.byId("state"), shown = studio.picture, [words, kind] = studio.words();
@@ -83,10 +85,11 @@ window.studio = {
     state.className = `state nicegui-html ${kind}`;
     const stale = !!shown && shown.version !== studio.latest;
     studio.byId("version").textContent = shown ? `version ${shown.version}` : "";
-    const mark = studio.byId("stale");
-    mark.hidden = !stale;
-    mark.textContent = stale ? `version ${shown.version}, before the edit` : "";
-    studio.byId("stage").classList.toggle("before", stale);
+    const mark = studio.byId("stale"), working = studio.work && !studio.work.ended;
+    const waits = stale ? studio.waits[0] : shown && working && shown.look !== studio.look ? studio.waits[1] : "";
+    mark.hidden = !stale && !waits;
+    mark.textContent = [stale ? `version ${shown.version}, before the edit` : "", waits].filter(Boolean).join("; ");
+    studio.byId("stage").classList.toggle("before", stale || !!waits);
     studio.byId("cards").classList.toggle("before", stale || !shown || studio.told !== shown.number);
   },
   // Shows a picture with all that belongs to it, once it has arrived; the latest one wins.
@@ -142,6 +145,7 @@ window.studio = {
     scale.querySelector(".colours").style.background = given.gradient || "none";
     scale.querySelector(".ticks").replaceChildren(...given.ticks.map((text) => studio.made("div", text)));
     studio.byId("title").textContent = given.title;
+    if (!studio.hoverTold) studio.byId("hover").textContent = given.hint;
     studio.byId("notes").textContent = given.notes;
     studio.byId("legend").replaceChildren(...given.legend.map(([name, colour]) => studio.swatched(name, colour)));
     studio.say();
@@ -181,15 +185,22 @@ window.studio = {
       if (told.number > (studio.picture ? studio.picture.number : 0)) studio.toTell[told.table ? "cards" : "hover"] = told;
       return;
     }
-    if (told.hover) studio.byId("hover").textContent = told.hover;
+    if (told.hover) {
+      studio.byId("hover").textContent = told.hover;
+      studio.hoverTold = true;
+    }
     if (!told.table) return;
     studio.told = told.number;
     const made = studio.made;
     if (told.figures) {
       const figures = studio.byId("figures");
       figures.dataset.version = told.version;
-      figures.replaceChildren(...told.figures.flatMap(([key, value]) =>
-        [made("div", key, { class: "k" }), made("div", value, { "data-key": key })]));
+      figures.classList.toggle("both", told.sides.length > 0);
+      const head = told.sides.length ? ["", ...told.sides].map((text) => made("div", text, { class: "k" })) : [];
+      figures.replaceChildren(...head, ...told.figures.flatMap(([key, value, other]) => [
+        made("div", key, { class: "k" }),
+        made("div", value, { "data-key": key, class: other === undefined ? "across" : "" }),
+        ...(other === undefined ? [] : [made("div", other, { "data-other": key })])]));
       const keep = made("button", "Keep this point", { type: "button", class: "plain", "data-testid": "keep" });
       keep.onclick = () => emitEvent("studio_keep");
       if (told.figures.some(([key]) => key === "Material")) figures.append(keep);
@@ -198,7 +209,7 @@ window.studio = {
     parts.replaceChildren();
     if (told.parts && told.parts.length) {
       const box = made("div", "", { class: "figures three" });
-      box.append(...["", "W m⁻² sr⁻¹", "effect"].map((text) => made("div", text, { class: "k r" })));
+      box.append(...["", "W m⁻² sr⁻¹", "in kelvin"].map((text) => made("div", text, { class: "k r" })));
       for (const [name, words, radiance, kelvin] of told.parts)
         box.append(made("div", words, { class: "k" }), made("div", radiance, { class: "r", "data-part": name }),
           made("div", kelvin, { class: "r" }));
@@ -207,9 +218,11 @@ window.studio = {
     const heat = studio.byId("heat");
     heat.replaceChildren();
     if (told.heat && told.heat.length) {
-      const box = made("div", "", { class: "figures two" });
-      for (const [words, value] of told.heat)
-        box.append(made("div", words, { class: "k" }), made("div", value, { class: "r", "data-heat": words }));
+      const box = made("div", "", { class: told.sides.length ? "figures two both" : "figures two" });
+      if (told.sides.length) box.append(...["", ...told.sides].map((text) => made("div", text, { class: "k r" })));
+      for (const [words, value, ...other] of told.heat)
+        box.append(made("div", words, { class: "k" }), made("div", value, { class: "r", "data-heat": words }),
+          ...other.map((text) => made("div", text, { class: "r" })));
       heat.append(made("h2", "Heat balance, gains above 0"), box);
     }
     const rows = (id, title, heads, list, cells) => {
@@ -228,7 +241,7 @@ window.studio = {
       last.append(drop);
       return [...row.map((text) => made("td", text)), last];
     });
-    rows("table", "Materials in view", ["material", "pixels", "mean", "least", "greatest", "from above"], told.table,
+    rows("table", "Materials in view", ["material", "pixels", "mean", "least", "greatest", "area from above"], told.table,
       ([name, colour, ...texts]) => {
         const choose = made("button", name, { type: "button", class: "plain" }), first = made("td");
         choose.onclick = () => emitEvent("studio_choose", name);

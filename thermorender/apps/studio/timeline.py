@@ -1,7 +1,8 @@
 """Time in the page: along the scene's flight, and the hour of temperatures that follow the weather."""
 
 import asyncio
-from dataclasses import replace
+import time
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from nicegui import ui
 from thermorender import load_trajectory
 from thermorender.apps.studio.document import Document
 from thermorender.apps.studio.panels import VALUE_AND_VERSION, draw
+from thermorender.apps.studio.renders import REPORTS_S
 from thermorender.apps.studio.spectrum import COLOURS, chart
 from thermorender.apps.studio.view import Pose
 from thermorender.errors import ThermorenderError
@@ -22,6 +24,8 @@ if TYPE_CHECKING:
 # Steps of playing a flight: time between pictures at most this often [s].
 _STEP_S = 0.2
 _STEP_MIN = 60
+# Lines of points, as of CSS; numbers are lengths of dashes and gaps [px].
+_DASHES: tuple[Any, ...] = ("dashed", [10, 4], [2, 4], [10, 4, 2, 4], [16, 4], [2, 8])
 
 
 def _clock(hour: float) -> str:
@@ -30,13 +34,22 @@ def _clock(hour: float) -> str:
     return f"{minutes // 60:02d}:{minutes % 60:02d}"
 
 
+@dataclass(frozen=True)
+class _Curves:
+    """Temperatures over a day."""
+
+    rows: list[dict[str, Any]]  # of `day_temperatures`, and of points by their names
+    points: tuple[str, ...]
+    version: int  # of the edits
+
+
 class Timeline:
     """Sliders along the flight and over the day, where the scene has them."""
 
     def __init__(self, tab: "Tab", stage: "Stage") -> None:
         self._tab, self._stage, self._session = tab, stage, tab.session
         self._playing = False
-        self._curves: tuple[list[dict[str, Any]], list[str]] = ([], [])  # rows of the day, and names of points
+        self._curves: _Curves | None = None
         base = self._session.base
         own = base.spec.folder / "flight.csv"
         self._flight = None
@@ -60,7 +73,8 @@ class Timeline:
                 self._play.props('flat dense round aria-label="Play the flight" data-testid="play"')
             if base.temperature_state.weather_driven:
                 self._hours(base)
-        self._box.set_visibility(self._flight is not None or base.temperature_state.weather_driven)
+            else:
+                ui.label("The temperatures of this scene do not follow the hour.").classes("soft")
 
     def fly(self, time_s: float) -> None:
         """Show the view of the flight at a time [s]."""
@@ -96,6 +110,7 @@ class Timeline:
         slider.on("change", self._at, js_handler=VALUE_AND_VERSION)
         self._hour = slider
         ui.button("Day's curve", on_click=self._day).props('flat dense data-testid="day"')
+        self._day_words = ui.label("").classes("soft").props('data-testid="day-words"')
 
     def refresh(self) -> None:
         """Show the hour of the edits."""
@@ -103,6 +118,7 @@ class Timeline:
             time = self._session.document.time or self._session.base.time
             hour = float((time - self._session.midnight) / np.timedelta64(3600, "s"))
             self._hour.set_value(round(4.0 * hour) / 4.0)
+            self._say_day()
 
     def _at(self, event: Any) -> None:
         time = self._session.at_hour(float(event.args[0]))
@@ -116,49 +132,86 @@ class Timeline:
         """Compute a day of the kept points and of each material in the background, and draw it."""
         from thermorender.output.day import day_temperatures
 
-        session, scene = self._session, self._session.scene
-        points = [(f"point {probe.name}", probe.texel) for probe in self._stage.probes if probe.texel >= 0]
-        if (picked := self._stage.picked_texel()) is not None:
-            points.append(("clicked pixel", picked))
-        names = [name for name, _ in points]
-        show = self._tab.later(self._drawn)
-        self._tab.say("The day is computed in the background; the curve appears below the picture.", "info")
+        session, scene, version = self._session, self._session.scene, self._session.history.version
+        points = [(f"point {point.name}", point.texel) for point in session.points if point.texel >= 0]
+        picked = self._stage.picked_texel()
+        if picked is not None and all(texel != picked for _, texel in points):
+            points.append(("picked point", picked))
+        names = tuple(name for name, _ in points)
+        drawn, going = self._tab.later(self._drawn), self._tab.later(self._going)
+        self._going("waiting for the solution under way")
 
-        def job(progress: Any) -> None:
+        def job(between: Any) -> None:
+            said = 0.0
+
+            def progress(what: str, share: float) -> None:
+                nonlocal said
+                between(what, share)
+                if time.monotonic() - said > REPORTS_S:
+                    said = time.monotonic()
+                    going(f"{what}: {share:.0%}")
+
             rows: list[dict[str, Any]] = []
             try:
                 for solved, row in day_temperatures(scene, _STEP_MIN, progress):
                     kelvin = np.concatenate([surface.temperature.ravel() for surface in solved.surfaces])
                     rows.append({**row, **{name: float(kelvin[texel]) for name, texel in points}})
-                    show(list(rows), names, "")
+                    drawn(_Curves(list(rows), names, version), "")
             except ThermorenderError as error:
-                show(rows, names, str(error))
+                drawn(None, str(error))
+            finally:
+                # Another day, or an edit, ends this one.
+                going("")
 
         session.renders.later(job)
 
-    def _drawn(self, rows: list[dict[str, Any]], points: list[str], fault: str) -> None:
+    def _going(self, words: str) -> None:
+        """Say how far the day under way is; "" where none is."""
+        if words:
+            self._day_words.set_text(words)
+        else:
+            self._say_day()
+
+    def _drawn(self, curves: "_Curves | None", fault: str) -> None:
         if fault:
             self._tab.say(fault)
-        self._curves = rows, points
-        self.redraw()
+        if curves is not None:
+            self._curves = curves
+            self._say_day()
+            self.redraw()
+
+    def _say_day(self) -> None:
+        """Say which version the curves are of."""
+        curves = self._curves
+        if curves is None:
+            self._day_words.set_text("")
+            return
+        old = ", before the edit" if curves.version != self._session.history.version else ""
+        part = "" if len(curves.rows) == 1440 // _STEP_MIN else f", {len(curves.rows)} of {1440 // _STEP_MIN} hours"
+        self._day_words.set_text(f"of version {curves.version}{old}{part}")
 
     def redraw(self) -> None:
         """Draw the curves of the day, if there are some."""
-        rows, points = self._curves
-        if not rows:
+        if self._curves is None:
             return
-        names = [key for key in rows[0] if key.endswith("_mean_k")]
-        curves = {name: name for name in points}
-        curves |= {"air": "air_k"} | {name.removesuffix("_mean_k"): name for name in names}
+        rows, points = self._curves.rows, self._curves.points
+        ink = COLOURS[self._tab.dark]["ink"]
+        # (words, key of a row, colour, line); materials in the colours that they have in the list and in pictures.
+        lines = [(name, name, ink, _DASHES[k % len(_DASHES)]) for k, name in enumerate(points)]
+        lines += [("air", "air_k", COLOURS[self._tab.dark]["soft"], "dotted")]
+        for key in rows[0]:
+            if key.endswith("_mean_k"):
+                name = key.removesuffix("_mean_k")
+                lines.append((name, key, self._session.renders.colours.of(name), "solid"))
         series = [
-            {"type": "line", "name": name, "showSymbol": False,
-             "lineStyle": {"type": "dashed" if key in points else "solid"},
+            {"type": "line", "name": name, "showSymbol": False, "color": colour,
+             "lineStyle": {"type": line, "color": colour},
              "data": [[row["solar_hour"], round(row[key], 2)] for row in rows if key in row]}
-            for name, key in curves.items()
+            for name, key, colour, line in lines
         ]  # fmt: skip
         x = {"min": 0, "max": 24, "interval": 3, "name": "solar hour"}
         y = {"scale": True, "name": "kinetic temperature [K]", "nameLocation": "middle", "nameGap": 38}
-        legend = {"type": "scroll", "top": 0, "textStyle": {"fontSize": 11, "color": COLOURS[self._tab.dark]["ink"]}}
+        legend = {"type": "scroll", "top": 0, "textStyle": {"fontSize": 11, "color": ink}}
         draw(
             self._chart,
             chart(x, y, series, top=28, dark=self._tab.dark) | {"tooltip": {"trigger": "axis"}, "legend": legend},

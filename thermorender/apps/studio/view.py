@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
+from thermorender.materials.csv_tables import decimal
 from thermorender.numbers import parse_numbers
 from thermorender.trajectory.path import pose as local_pose
 from thermorender.trajectory.rotations import BODY_FROM_CAMERA, ENU_FROM_NED, angles_from_rotation
@@ -35,9 +36,21 @@ class Pose:
 
     @classmethod
     def typed(cls, text: str, scene: "Scene", where: str = "pose") -> "Pose":
-        """Return the Pose of E,N,U,YAW,PITCH,ROLL, with U above the ground, as `--pose` on the command line."""
+        """Return the Pose of E,N,U,YAW,PITCH,ROLL, with U above the ground, as `--pose` on the command line; outside
+        the terrain, above its nearest point.
+        """
         east, north, above, *angles = parse_numbers(where, text, POSE_PARTS)
-        return cls.seen(scene.pose(east, north, above, angles[0], angles[1], angles[2]), scene)
+        if on_terrain(scene, east, north) or above < 0.0:
+            return cls.seen(scene.pose(east, north, above, angles[0], angles[1], angles[2]), scene)
+        low, high = _bounds(scene)
+        away = float(np.hypot(*(np.clip((east, north), low, high) - (east, north))))
+        if away > _FARTHEST_M:
+            raise ThermorenderError(
+                f"{where}={text!r} is {away / 1000.0:.4g} km outside the terrain; give an E,N within "
+                f"{_FARTHEST_M / 1000.0:g} km of it"
+            )
+        up = above + cls._ground(scene, east, north)
+        return cls.seen(local_pose(east, north, up, angles[0], angles[1], angles[2]), scene)
 
     @classmethod
     def seen(cls, matrix: NDArray[np.float64], scene: "Scene") -> "Pose":
@@ -53,10 +66,9 @@ class Pose:
         return local_pose(self.east, self.north, self.up, self.yaw_deg, self.pitch_deg, self.roll_deg)
 
     def text(self, scene: "Scene") -> str:
-        """Return E,N,U,YAW,PITCH,ROLL with U above the ground."""
+        """Return E,N,U,YAW,PITCH,ROLL with U above the ground, which `typed` reads."""
         above = self.up - self._ground(scene, self.east, self.north)
-        numbers = (self.east, self.north, above, self.yaw_deg, self.pitch_deg, self.roll_deg)
-        return ",".join(f"{number:.1f}".replace("-0.0", "0.0").removesuffix(".0") for number in numbers)
+        return numbers_text(self.east, self.north, above, self.yaw_deg, self.pitch_deg, self.roll_deg)
 
     def orbited(self, right_deg: float, up_deg: float, zoom: float, scene: "Scene") -> "Pose":
         """Return the Pose turned around the point in the middle of the picture, at `zoom` times the distance."""
@@ -92,8 +104,34 @@ class Pose:
 
     @staticmethod
     def _ground(scene: "Scene", east: float, north: float) -> float:
+        """The height of the terrain at a place, or at the nearest point of it [m]."""
         ground = float(scene.ground(east, north))
+        if ground != ground:
+            low, high = _bounds(scene)
+            # The terrain ends at these bounds, and may not reach its very corners.
+            middle, place = 0.5 * (low + high), np.clip((east, north), low, high)
+            for inward in (1e-6, 1e-3, 1e-2):
+                ground = float(scene.ground(*(place + inward * (middle - place))))
+                if ground == ground:
+                    break
         return ground if ground == ground else 0.0
+
+
+def numbers_text(*numbers: float) -> str:
+    """Return numbers to a tenth, between commas."""
+    return ",".join((text if (text := f"{number:.1f}") != "-0.0" else "0.0").removesuffix(".0") for number in numbers)
+
+
+def on_terrain(scene: "Scene", east: float, north: float) -> bool:
+    """Return whether there is terrain at a place."""
+    return bool(np.isfinite(scene.ground(east, north)))
+
+
+def _bounds(scene: "Scene") -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The least and greatest (east, north) of the terrain [m]."""
+    corner = [surface.vertices[:, :2] for surface in scene.near_ground]
+    low = np.min([each.min(axis=0) for each in corner], axis=0).astype(np.float64)
+    return low, np.max([each.max(axis=0) for each in corner], axis=0).astype(np.float64)
 
 
 @dataclass(frozen=True)
@@ -110,6 +148,22 @@ class View:
     palette: str = "ironbow"
     # (float, float) or fixed ends of the colours; None: as the picture needs
     limits: tuple[float, float] | None = None
+
+
+def same_place(one: View, other: View) -> bool:
+    """Return whether two views see the same places in the same pixels."""
+    return (one.pose, one.time_s, one.plan) == (other.pose, other.time_s, other.plan)
+
+
+def hour_of(text: str) -> float:
+    """Return a solar hour, 0 to 24, from a text."""
+    try:
+        hour = decimal(text)
+    except ValueError:
+        hour = math.nan
+    if not 0.0 <= hour <= 24.0:
+        raise ThermorenderError(f"hour={text!r} is not a solar hour; give a number from 0 to 24, such as 14.5")
+    return hour
 
 
 def limits_of(low: str, high: str) -> tuple[float, float] | None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from thermorender.physics.balance import Forcing
 from thermorender.render.arrays import Jit, aligned
+from thermorender.render.geometry import Geometry
 from thermorender.render.heat.matter import Parts, PartsOf
 from thermorender.render.heat.sun_on_columns import SunMemory
 
@@ -29,6 +30,17 @@ _PAST_S = (900.0, 3600.0, 4 * 3600.0, 16 * 3600.0)
 KNOWN = 1 + len(_PAST_S) + 4
 # Which of them is the sunlight of the last four hours.
 SUNLIGHT = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Exchange:
+    """What the F faces of a geometry receive from one another, from the sky and from the ground beyond the scene."""
+
+    geometry: Geometry
+    operator: Any  # (F, F) sparse float32: share of each face in what another receives
+    sky: NDArray[np.float32]  # (F,) share of the sky
+    background: NDArray[np.float32]  # (F,) share of the ground beyond the scene
+    touching: NDArray[np.integer]  # faces that something covers in part
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +67,8 @@ class Record:
         Face of every column.
     column : (T,) int32
         Column of the first part of each texel, −1 for those that have none.
-    operator : (F, F) sparse float32
-        Share of each face in what another receives.
+    exchange : Exchange
+        Between the faces, for a run after an edit, too.
     face_material : (F,)
         The material of each face.
     face_column : (solved faces,)
@@ -82,7 +94,7 @@ class Record:
     known: NDArray[np.float32]
     faces: NDArray[np.int32]
     column: NDArray[np.int32]
-    operator: Any
+    exchange: Exchange
     face_material: NDArray[np.integer]
     face_column: NDArray[np.integer]
     sun: SunMemory
@@ -150,7 +162,13 @@ class Recorder:
         place = columns.at_place
         face = np.array(place(columns.face)).astype(np.int64)
         inner = np.zeros(len(face)) if columns.matter.inner_w_m2 is None else np.array(columns.matter.inner_w_m2)
-        known = [kelvin, *map(np.array, self._past), simulation.sky[face], np.array(place(columns.cooler)), inner]
+        known = [
+            kelvin,
+            *map(np.array, self._past),
+            simulation.exchange.sky[face],
+            np.array(place(columns.cooler)),
+            inner,
+        ]
         first = self._own
         reflects = np.ones(len(face))
         reflects[first] = simulation.reflects[self._texels]
@@ -169,7 +187,7 @@ class Recorder:
         return Record(
             simulation.mi, simulation.parts, simulation.inside_k, simulation.start,
             self._steps, drawn, simulation.material[drawn].astype(np.int64), face[at], table[at], self._light,
-            table, face.astype(np.int32), column, simulation.operator, simulation.face_material,
+            table, face.astype(np.int32), column, simulation.exchange, simulation.face_material,
             np.asarray(np.searchsorted(simulation.of_faces.place, simulation.column)), simulation.sun.memory or {},
             terms, row,
         )  # fmt: skip

@@ -31,7 +31,7 @@ from thermorender.physics.srgb import linear_from_bytes
 from thermorender.render.arrays import Jit, aligned
 from thermorender.render.geometry import Geometry
 from thermorender.render.heat.copies import Copies
-from thermorender.render.heat.known_light import Record, Recorder
+from thermorender.render.heat.known_light import Exchange, Record, Recorder
 from thermorender.render.heat.matter import (
     Kinds,
     Matter,
@@ -45,7 +45,7 @@ from thermorender.render.heat.matter import (
 )
 from thermorender.render.heat.places import lit_cosine, texel_points
 from thermorender.render.heat.steps import Library, steps_to
-from thermorender.render.heat.sun_on_columns import Sun, SunMemory, SunShares, mixed
+from thermorender.render.heat.sun_on_columns import Sun, SunShares, mixed
 from thermorender.render.light import contacts, radiosity, transport_cache
 from thermorender.render.light.exchange import threads
 from thermorender.render.variant import activate
@@ -86,14 +86,15 @@ def solved(
     make a truth that differs from the material tables. Texels of one material in squares of `block` a side of a picture
     have one temperature, of the mean deviations. `progress` is called with (what, share done). `records` is given the
     Record of the run, for previews of edits, unless the texels are simulated in blocks. `known` is the Record of a run
-    on the same `geometry`, whose tests for the sun serve again where points and instants are the same."""
+    before an edit: its light between the faces serves again on the same `geometry`, and its tests for the sun where
+    points and instants are the same, too."""
     asked = sorted(set(times))
     geometry = geometry or Geometry(activate(), scene.surfaces)
     report_progress = progress or (lambda what, share: None)
     report_progress(_WHAT, 0.0)
     higher_m = scene.altitude_m - scene.weather.altitude_m
     parts = parts_in_weather(scene.materials, scene.weather, asked[0], higher_m)
-    simulation = _Simulation(scene, parts, geometry, asked, deviations, block, None if known is None else known.sun)
+    simulation = _Simulation(scene, parts, geometry, asked, deviations, block, known)
     simulation.records = records
     kelvin = simulation.covered(simulation.run(lambda share: report_progress(_WHAT, share)))
     # Dr.Jit keeps the memory of the largest step, 1 GB on heath, which no later work needs.
@@ -133,7 +134,7 @@ class _Simulation:
 
     def __init__(
         self, scene: Scene, parts: PartsOf, geometry: Geometry, asked: "list[np.datetime64]",
-        deviations: Deviations | None, block: int, known: SunMemory | None = None,
+        deviations: Deviations | None, block: int, known: Record | None = None,
     ) -> None:  # fmt: skip
         self.scene, self.parts, self.geometry, self.mi, self.asked = scene, parts, geometry, geometry.mi, asked
         assert scene.spec.weather is not None
@@ -163,13 +164,9 @@ class _Simulation:
         self.alone, self.column = np.unique(_first_sides(geometry)[: self.faces], return_inverse=True)
         self.first = self._firsts(block)
         self.start = max(asked[0] - np.timedelta64(int(_BEFORE_S), "s"), self.weather.time[0])
-        transport, _ = transport_cache.traced(geometry, _RAYS)
-        self.operator, self.threads = transport.operator.astype(np.float32), threads()
-        self.sky = transport.sky.sum(axis=1).astype(np.float32)
-        self.background = transport.background.astype(np.float32)
-        if geometry.crowns is not None:
-            both = _both_sides(geometry)
-            self.operator, self.sky, self.background = both @ self.operator, both @ self.sky, both @ self.background
+        same = known is not None and known.exchange.geometry is geometry
+        self.exchange = known.exchange if known is not None and same else _exchange(geometry)
+        self.threads = threads()
         self.reflectance, self.emissivity = self._of_faces()
         present = np.unique(np.concatenate([self.material, self.face_material[: self.faces]]))
         self.kinds = Kinds(parts, present, open_columns(self.weather, asked[0]))
@@ -179,13 +176,19 @@ class _Simulation:
         solid = sum(surface.instances is None for surface in terrain)
         self.bodies = range(*(int(geometry.face_start[number]) for number in (ground, solid)))
         self.solid_faces = int(geometry.face_start[solid])
-        self._start_in_the_open(transport.touching)
+        self._start_in_the_open(self.exchange.touching)
         inner = np.array([surface.inner_w_m2 for surface in terrain], np.float32)
         self.inner_w_m2 = np.repeat(inner, [len(surface.faces) for surface in terrain]) if inner.any() else None
         copies, self.copies = range(solid, scene.solved_count), None
         if copies:
             self.copies = Copies(geometry, copies, len(asked), lambda at_s: self.sun.towards(self.sun.instant(at_s)))
-        self.sun = Sun(geometry, self.weather, self.start, self.copies.first if self.copies else None, known)
+        self.sun = Sun(
+            geometry,
+            self.weather,
+            self.start,
+            self.copies.first if self.copies else None,
+            None if known is None else known.sun,
+        )
 
     def _start_in_the_open(self, touching: NDArray[np.integer]) -> None:
         """Move the points of bodies' faces that something covers in part to an open part, where their light starts."""
@@ -498,7 +501,7 @@ class _Simulation:
         middle = min(self.sun.instant(middle_s), self.weather.time[-1])
         found, towards = self.weather.at(middle), self.sun.towards(middle)
         level = float(found.direct_w_m2 * max(towards[2], 0.0) + found.diffuse_w_m2)
-        own = self.sky * np.float32(found.diffuse_w_m2 / max(level, 1.0))
+        own = self.exchange.sky * np.float32(found.diffuse_w_m2 / max(level, 1.0))
         if towards[2] > 0.0 and found.direct_w_m2 > 0.0:
             here = dr.arange(mi.UInt32, len(self.alone))
             normal, face = dr.gather(mi.Vector3f, columns.normal, here), dr.gather(mi.UInt32, columns.face, here)
@@ -517,18 +520,18 @@ class _Simulation:
         kelvin = self.face_kelvin.copy()
         kelvin[: self.faces] = seen_k[self.column]
         emitted = self.emissivity * np.float32(STEFAN_BOLTZMANN) * kelvin**4
-        sky = self.sky * np.float32(found.longwave_w_m2)
+        sky = self.exchange.sky * np.float32(found.longwave_w_m2)
         for _ in range(1 if self.arrives is not None else _REFLECTIONS):
             before = np.zeros((len(sky), 2), np.float32) if self.arrives is None else self.arrives
             leaves = (self.reflectance * (own + before[:, 0]), emitted + (1.0 - self.emissivity) * (sky + before[:, 1]))
             self.arrives = np.column_stack(list(self.threads.map(self._arriving, leaves)))
         upload = lambda values: mi.Float(aligned(values[: self.faces]))  # noqa: E731
         until = max(every_s * (np.floor(at_s / every_s + 1e-9) + 1.0), at_s + seconds)
-        return _Light(until, upload(self.sky), upload(self.arrives[:, 0]), upload(self.arrives[:, 1]))
+        return _Light(until, upload(self.exchange.sky), upload(self.arrives[:, 0]), upload(self.arrives[:, 1]))
 
     def _arriving(self, leaves: NDArray[np.float32]) -> NDArray[np.float32]:
         """Light from other faces and from beyond the terrain; a product with one vector is faster than with two."""
-        return self.operator @ leaves + self.background * np.float32(self.mean(leaves))
+        return self.exchange.operator @ leaves + self.exchange.background * np.float32(self.mean(leaves))
 
     def mean(self, values: NDArray[Any]) -> Any:
         """Mean over the terrain's area."""
@@ -596,6 +599,17 @@ def _first_sides(geometry: Geometry) -> NDArray[np.integer]:
     start = np.repeat(geometry.face_start[:-1], np.diff(geometry.face_start))
     # Patches that face down and up alternate.
     return np.where(_leaves(geometry), index - (index - start) % 2, index)
+
+
+def _exchange(geometry: Geometry) -> Exchange:
+    """The Exchange of a geometry, from the rays of its light."""
+    transport, _ = transport_cache.traced(geometry, _RAYS)
+    operator = transport.operator.astype(np.float32)
+    sky, background = transport.sky.sum(axis=1).astype(np.float32), transport.background.astype(np.float32)
+    if geometry.crowns is not None:
+        both = _both_sides(geometry)
+        operator, sky, background = both @ operator, both @ sky, both @ background
+    return Exchange(geometry, operator, sky, background, transport.touching)
 
 
 def _both_sides(geometry: Geometry) -> Any:
