@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from studio_support import WAIT_MS, Page, serious, served
+from studio_support import WAIT_MS, serious, served
 
 import thermorender as tr
 from scenes import write_hut, write_terrain
@@ -273,13 +273,6 @@ def address(browser, tmp_path_factory):
     write_material(solar_paint(), folder / "materials")
     with served(folder) as found:
         yield found
-
-
-@pytest.fixture
-def page(browser, address):
-    made = Page(browser, address)
-    yield made
-    made.end()
 
 
 def wait_for_layers(page, names):

@@ -7,7 +7,7 @@ import pytest
 from studio_support import POSE, Page, served, wait_for
 
 import thermorender as tr
-from scenes import WEATHER, write_terrain
+from scenes import WEATHER, write_balance, write_terrain
 from thermorender.apps.studio.session import Session
 from thermorender.apps.studio.view import Pose, View
 
@@ -123,11 +123,8 @@ def test_no_picture_is_ever_under_the_label_of_another_version(browser, folder):
 
 @pytest.mark.slow
 def test_a_new_hour_says_how_far_its_solution_is_and_the_old_picture_says_its_version(browser, tmp_path):
-    made = write_terrain(tmp_path / "balance", classes=np.where(np.mgrid[:32, :32][1] < 16, 1, 2))
-    path = made / "scene.toml"
-    text = re.sub(r'source = "raster"\nraster = "temperature.tif"', 'source = "balance"', path.read_text("utf-8"))
-    path.write_text(f"{text}\n{WEATHER}", "utf-8")
-    with served(made) as address:
+    classes = np.where(np.mgrid[:32, :32][1] < 16, 1, 2)
+    with served(write_balance(tmp_path / "balance", WEATHER, classes=classes)) as address:
         page = Page(browser, address)
         page.page.evaluate(
             "() => { window.said = []; const at = (id) => document.getElementById(id); new MutationObserver(() => "

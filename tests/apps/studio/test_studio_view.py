@@ -10,7 +10,7 @@ import pytest
 from studio_support import POSE, WAIT_MS, Page, serious, served
 
 import thermorender as tr
-from scenes import WEATHER, write_terrain
+from scenes import WEATHER, write_balance
 
 SIZES = ((1920, 1080), (1280, 800), (960, 600), (853, 533))
 
@@ -128,7 +128,45 @@ def test_the_list_of_edits_goes_to_any_of_them(page):
     page.settled()
     page.part("edits").click()
     page.page.locator(f'.edits [data-version="{first}"]').click()
-    page.settled(first)
+    assert page.settled(first) == page.version == first
+    page.has_value(page.part("field-emissivity"), "")
+
+
+@pytest.mark.slow
+def test_a_comparison_with_a_version_that_another_edit_has_replaced_ends_with_a_sentence(page):
+    page.choose("grass_green")
+    before = page.version
+    page.edited("emissivity", "0.7", pixel=False)
+    replaced = page.version
+    page.edited("emissivity", "0.75", pixel=False)
+    compare_with(page, f"version {replaced}: grass_green")
+    page.page.wait_for_url(f"**against=version+{replaced}*", timeout=WAIT_MS)
+    for _ in range(2):
+        version = page.version
+        page.part("undo").click()
+        page.after(version)
+    assert page.version == before and f"minus that of version {replaced}" in page.part("picture-title").inner_text()
+    page.edited("emissivity", "0.8", pixel=False)
+    page.page.get_by_text(f"version {replaced} is no longer there").wait_for(timeout=WAIT_MS)
+    page.page.wait_for_function("() => !location.search.includes('against')", timeout=WAIT_MS)
+    page.part("picture-title").get_by_text("Apparent temperature", exact=True).wait_for(timeout=WAIT_MS)
+
+
+@pytest.mark.slow
+def test_a_polygon_of_two_points_is_refused_and_one_of_three_paints(page):
+    page.choose("sand_quartz")
+    page.tool("Polygon")
+    box, before = page.part("frame").bounding_box(), page.version
+    press = lambda x, y, how: how(box["x"] + x * box["width"], box["y"] + y * box["height"])  # noqa: E731
+    press(0.2, 0.6, page.page.mouse.click)
+    press(0.4, 0.6, page.page.mouse.dblclick)
+    page.page.get_by_text("this polygon has 2 points; draw one of 3").wait_for(timeout=WAIT_MS)
+    assert page.settled() == before
+    press(0.2, 0.6, page.page.mouse.click)
+    press(0.4, 0.6, page.page.mouse.click)
+    press(0.3, 0.8, page.page.mouse.dblclick)
+    page.after(before)
+    page.tool("Look")
 
 
 @pytest.mark.slow
@@ -188,11 +226,8 @@ def test_the_picture_keeps_its_shape_at_every_size_and_axe_finds_nothing_serious
 
 @pytest.mark.slow
 def test_the_terms_of_a_heat_balance_are_shown_and_say_why_a_lighter_ground_is_colder(browser, tmp_path):
-    made = write_terrain(tmp_path / "balance", classes=np.where(np.mgrid[:32, :32][1] < 16, 1, 2))
-    path = made / "scene.toml"
-    text = re.sub(r'source = "raster"\nraster = "temperature.tif"', 'source = "balance"', path.read_text("utf-8"))
-    path.write_text(f"{text}\n{WEATHER}", "utf-8")
-    with served(made) as address:
+    classes = np.where(np.mgrid[:32, :32][1] < 16, 1, 2)
+    with served(write_balance(tmp_path / "balance", WEATHER, classes=classes)) as address:
         page = Page(browser, address)
         page.click_pixel(500, 250)
         page.page.locator('[data-heat="Sum"]').wait_for(timeout=WAIT_MS)
@@ -217,5 +252,10 @@ def test_the_terms_of_a_heat_balance_are_shown_and_say_why_a_lighter_ground_is_c
         assert abs(after["Sum"]) < 0.06 and after["Convection"] > before["Convection"]
         page.show("Convection")
         assert "W/m²" in page.part("notes").inner_text()
+        page.part("day").click()
+        page.part("day-words").get_by_text(f"of version {page.version}", exact=True).wait_for(timeout=WAIT_MS)
+        solved = page.version
+        page.edited("solar_absorptance", "0.3", pixel=False)
+        page.part("day-words").get_by_text(f"of version {solved}, before the edit").wait_for(timeout=WAIT_MS)
         page.context.close()
         assert not page.errors

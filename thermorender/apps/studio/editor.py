@@ -51,7 +51,7 @@ _ROW = """
   <q-td><div class="name"><span class="swatch" :class="props.row.colour ? '' : 'none'"
       :title="props.row.colour ? 'colour on the map of materials' : 'not in the scene'"
       :style="{background: props.row.colour}"></span>
-    <span class="text" :title="props.row.name + (props.row.title ? ': ' + props.row.title : '')">{{ props.row.name }}</span>
+    <span class="text" :title="props.row.tip">{{ props.row.name }}</span>
     <span v-if="props.row.edited" class="edited" title="edited, not saved">●</span></div></q-td>
   <q-td class="text-right">{{ props.row.band === null ? '–' : props.row.band.toFixed(3) }}</q-td>
   <q-td class="text-right">{{ props.row.share ? (100 * props.row.share).toFixed(1) + ' %' : '' }}</q-td>
@@ -147,7 +147,7 @@ class Editor:
             {
                 "name": name, "band": band_mean(each, self._band_um), "share": shares.get(name, 0.0),
                 "colour": colours.get(name, ""), "edited": name in edited,
-                "chosen": name == self.name, "title": each.title,
+                "chosen": name == self.name, "tip": ": ".join(filter(None, (name, each.title))),
             }
             for name, each in sorted(document.library.items(), key=lambda item: (-shares.get(item[0], 0.0), item[0]))
             if self._all.value or name in used
