@@ -58,7 +58,6 @@ class SolvedHeat:
     record: Record
     # Texels that take the temperatures of others since no face shows them, of each surface
     nearest: list[NDArray[np.intp] | None] | None = None
-    settled: State | None = None  # of its kinds of column, from which they begin; None until a preview asks
 
     def preview(self, scene: Scene) -> Scene | None:
         """Return an edit of this scene with temperatures to first order, whose errors its state has; None where it
@@ -70,16 +69,14 @@ class SolvedHeat:
         parts = parts_in_weather(
             scene.materials, scene.weather, scene.time, scene.altitude_m - scene.weather.altitude_m
         )
-        materials, count = np.unique(record.material), len(parts)
+        present, materials, count = record.present, np.unique(record.material), len(parts)
         make = open_columns(scene.weather, scene.time)
-        kinds = Kinds([*record.parts, *parts], np.concatenate([materials, count + materials]), make)
+        # Kinds before an edit come first, with the numbers that they had in the run.
+        kinds = Kinds([*record.parts, *parts], np.concatenate([present, count + present]), make)
         same_air = all(map(np.array_equal, _series(before.weather), _series(scene.weather)))
         weather = before.weather if same_air else scene.weather
         edited = np.array([each for each in materials if not (same_air and _same(kinds, each, count + each))], np.int64)
-        if self.settled is None:
-            # Kinds before an edit come first, so that they are the same for all edits.
-            self.settled = _settled(record, before.weather, kinds, materials)
-        begin = self.settled, _settled(record, weather, kinds, count + materials)
+        begin = record.begin, _settled(record, weather, kinds, count + present)
         change, by_light, received = _changes(record, before.weather, weather, kinds, edited, begin)
         solved = before.surfaces[: before.solved_count]
         material, found = (
@@ -221,8 +218,8 @@ def _kinds_of(kinds: Kinds, materials: NDArray[np.integer]) -> NDArray[np.int64]
 
 
 def _settled(record: Record, weather: Weather, kinds: Kinds, materials: NDArray[np.integer]) -> State:
-    """The State of the kinds of some materials at the start of the run. The kinds of a run settle together, for as many
-    days as the slowest of them needs."""
+    """The State of the kinds of some materials at the start of the run, which settle together as those of a run do, for
+    as many days as the slowest of them needs."""
     columns = open_ground.chosen(kinds.columns, _kinds_of(kinds, materials))
     return open_ground.settled(columns, weather, record.start, record.inside_k)[0]
 
@@ -232,7 +229,7 @@ def _changes(
 ) -> tuple[Floats, Floats, NDArray[np.float32]]:
     """(change of the temperatures of drawn texels (D,) [K], part of it by the change of the light (D,) [K], change of
     the light on faces in the last hours, of the sun's and long-wave (F, 2) [W m⁻²]). `begin` are the states of
-    `_settled` before and after the edit."""
+    the kinds at the start before and after the edit."""
     mi, count, drawn = record.mi, len(record.parts), len(record.material)
     # Every drawn texel before the edit, after it in the light before, and after it.
     material = np.concatenate([record.material, count + record.material, count + record.material])
@@ -251,7 +248,7 @@ def _changes(
         whole = State(found.surface_k[row], [each[row] for each in found.layers_k], found.film[row], liquid)
         return of_kinds(mi, kinds.columns, whole, parts.kind, reflects, inner if inner.any() else None)
 
-    present = np.unique(record.material)
+    present = record.present
     matter, state = begun(begin[0], present)
     state = _where(after, begun(begin[1], count + present)[1], state)
     sending = _Sending(record, edited, of, turn, parts, matter)

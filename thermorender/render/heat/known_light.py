@@ -12,7 +12,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.physics.balance import Forcing
+from thermorender.physics.balance import Forcing, State
 from thermorender.render.arrays import Jit, aligned
 from thermorender.render.geometry import Geometry
 from thermorender.render.heat.matter import Parts, PartsOf
@@ -51,6 +51,10 @@ class Record:
     ----------
     parts : sequence
         ((part, share), …) of each material under the weather of the run.
+    present : (M,)
+        The numbers of the materials of the run, ascending.
+    begin : State
+        Of the kinds of column of these materials, in their order, at the start.
     inside_k : float
         The air inside buildings [K].
     steps : list of (beginning, length)
@@ -83,6 +87,8 @@ class Record:
 
     mi: Any
     parts: PartsOf
+    present: NDArray[np.integer]
+    begin: State
     inside_k: float
     start: np.datetime64
     steps: list[tuple[float, float]]
@@ -185,7 +191,8 @@ class Recorder:
             row = row[simulation.first]
         drawn, at = self._texels[self._drawn], first[self._drawn]
         return Record(
-            simulation.mi, simulation.parts, simulation.inside_k, simulation.start,
+            simulation.mi, simulation.parts, simulation.present.astype(np.int64), simulation.state,
+            simulation.inside_k, simulation.start,
             self._steps, drawn, simulation.material[drawn].astype(np.int64), face[at], table[at], self._light,
             table, face.astype(np.int32), column, simulation.exchange, simulation.face_material,
             np.asarray(np.searchsorted(simulation.of_faces.place, simulation.column)), simulation.sun.memory or {},

@@ -168,8 +168,8 @@ class _Simulation:
         self.exchange = known.exchange if known is not None and same else _exchange(geometry)
         self.threads = threads()
         self.reflectance, self.emissivity = self._of_faces()
-        present = np.unique(np.concatenate([self.material, self.face_material[: self.faces]]))
-        self.kinds = Kinds(parts, present, open_columns(self.weather, asked[0]))
+        self.present = np.unique(np.concatenate([self.material, self.face_material[: self.faces]]))
+        self.kinds = Kinds(parts, self.present, open_columns(self.weather, asked[0]))
         # `settled_k` is the change of the ground over the last day of settling [K].
         self.state, self.settled_k = open_ground.settled(self.kinds.columns, self.weather, self.start, self.inside_k)
         self.of_faces = Parts(self.kinds, self.face_material[self.alone])
