@@ -149,13 +149,8 @@ def day_temperatures(
 ) -> "Iterator[tuple[Scene, dict[str, Any]]]":  # fmt: skip
     """Yield (the scene with its temperatures, row of the table without apparent_mean_k) of each step of the local solar
     day, without frames; arguments as of `day`."""
-    from thermorender.render.geometry import Geometry
-    from thermorender.render.variant import activate
-
     times = _times(scene, step_min)
-    scene.refuse_tiles("a day")
-    geometry = Geometry(activate(device), scene.surfaces)
-    for index, solved in enumerate(solved_in_parts(scene, times, geometry, progress or (lambda what, share: None))):
+    for index, solved in enumerate(_solved(scene, times, progress or (lambda what, share: None), device)):
         yield solved, {"solar_hour": index * step_min / 60.0, **_row(solved)}
 
 
@@ -183,23 +178,30 @@ def _times(scene: "Scene", step_min: int) -> NDArray[np.datetime64]:
     return times
 
 
+def _solved(
+    scene: "Scene", times: NDArray[np.datetime64], report: Callable[[str, float], object], device: str
+) -> "Iterator[Scene]":  # fmt: skip
+    """Yield the scene with its temperatures at each instant."""
+    # These import Mitsuba.
+    from thermorender.render.geometry import Geometry
+    from thermorender.render.variant import activate
+
+    scene.refuse_tiles("a day")
+    yield from solved_in_parts(scene, times, Geometry(activate(device), scene.surfaces), report)
+
+
 def _frames(
     scene: "Scene", pose: NDArray[np.float64], times: NDArray[np.datetime64], report: Callable[[str, float], object],
     device: str, settings: dict[str, Any],
 ) -> "Iterator[tuple[int, Frame, Scene]]":  # fmt: skip
     """Yield (index, Frame, solved Scene) of each instant; the light is traced once."""
-    # These import Mitsuba.
-    from thermorender.render.geometry import Geometry
     from thermorender.render.quality import Sampling
     from thermorender.render.renderer import Renderer
-    from thermorender.render.variant import activate
 
-    scene.refuse_tiles("a day")
     # Before the heat balance is solved, so that a wrong setting fails at once.
     Sampling.of(**{name: value for name, value in settings.items() if name != "seed"})
-    geometry = Geometry(activate(device), scene.surfaces)
     baked, seed = None, settings.get("seed", 0)
-    for index, solved in enumerate(solved_in_parts(scene, times, geometry, report)):
+    for index, solved in enumerate(_solved(scene, times, report, device)):
         if baked is None:
             renderer = Renderer(solved, progress=report, **{"device": device, **settings})
             baked = renderer.baked

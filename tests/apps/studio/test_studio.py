@@ -361,9 +361,16 @@ def test_save_writes_what_the_public_interface_reads_and_refuses_changed_files(b
         assert materials["grass_green"].thermal.wetness == 0.125
         source = materials["grass_green"].thermal.source["wetness"]
         assert source.startswith("chosen: edited by hand, before: ") and "before: chosen: edited" not in source
-        # What is read again shows as saved, and undo has nothing to take back.
+        # Reading again asks where edits are not saved. What is read shows as saved, and undo has nothing to take back.
+        page.page.get_by_role("tab", name="Thermal").click()
+        page.edited("wetness", "0.5", pixel=False)
         version = page.version
+        page.page.get_by_role("tab", name="Files").click()
         page.part("reload").click()
+        page.page.get_by_role("button", name="Cancel").click()
+        assert page.settled() == version and page.part("undo").is_enabled()
+        page.part("reload").click()
+        page.part("lose").click()
         page.after(version)
         assert page.part("undo").is_disabled()
         page.page.get_by_role("tab", name="Thermal").click()

@@ -355,6 +355,15 @@ class Files:
                 self._tell(f"saved: {len(save.files)} files\n" + "\n".join(save.lines))
 
     async def _reload(self) -> None:
+        if self._session.unsaved:
+            with ui.dialog() as dialog, ui.card():
+                ui.label("Unsaved edits of all tabs are lost when the files are read again.")
+                with ui.row():
+                    lose = ui.button("Reload without saving", on_click=lambda: dialog.submit(True))
+                    lose.props('data-testid="lose"')
+                    ui.button("Cancel", on_click=lambda: dialog.submit(False)).props("flat")
+            if not await dialog:
+                return
         with self._told():
             self._session.reload(await run.io_bound(load_scene, self._session.base.spec.folder))  # type: ignore[arg-type]
             self._tell("read again from disk")
