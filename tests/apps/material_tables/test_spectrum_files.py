@@ -73,6 +73,16 @@ def test_reflectance_that_no_surface_has_is_refused(tmp_path, percent):
         emissivity(tmp_path / "a.csv")
 
 
+def test_two_points_beyond_the_table_s_ends_are_read(tmp_path):
+    """Of 7.14 and 14.29 µm; the rows of the table are at multiples of 0.05 µm between them."""
+    path = tmp_path / "two.csv"
+    path.write_text("wavenumber_cm-1,emissivity\n700,0.9\n1400,0.95\n")
+    made = from_samples([read_sample(path)], "two", solar_absorptance=0.5)
+    assert (made.wavelength_um[0], made.wavelength_um[-1]) == pytest.approx((7.15, 14.25))
+    between = np.interp(made.wavelength_um, 1e4 / np.array([1400, 700]), [0.95, 0.9])
+    np.testing.assert_allclose(made.emissivity, between, atol=1e-6)
+
+
 def test_emissivity_under_a_heading_of_reflectance_is_remarked_on(tmp_path):
     for percent, remarked in ((96.0, True), (5.0, False)):
         sample = read_sample(spectrum(tmp_path / "a.txt", percent))

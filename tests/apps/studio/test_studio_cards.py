@@ -101,9 +101,27 @@ def test_a_difference_is_called_one_and_the_figures_of_both_states_stand_side_by
     )
     assert rows["Difference"][0] == f"{both[0] - both[1]:.2f} K".replace("-", "−")
     assert "difference" in hovered(made, picture, (int(column), int(row)))
-    assert told["sides"] == ["version 3", "saved"]
+    assert told["sides"] == ["version 3", "the saved scene"]
     heat = {row[0]: row[1:] for row in told["heat"]}
     assert len(heat["Long-wave emitted"]) == 2 and heat["Long-wave emitted"][0] != heat["Long-wave emitted"][1]
+
+
+def test_the_file_of_a_split_view_shows_both_halves_and_their_names(renderers):
+    made = shot(renderers[0], "0,-6,10,0,-55,0", "kinetic", other=renderers[1])
+    made = replace(made, view=replace(made.view, slider=True))
+    picture = pictured(made)
+    assert picture.sides == ("version 3", "the saved scene")
+    text = figure_of(picture, "title", "svg").decode()
+    assert text.count("<image") == 3  # both halves and the bar
+    assert not np.array_equal(picture.levels, picture.other_levels)
+    # Both have the bar's colours.
+    low, high = picture.ends
+    for state, levels in ((made, picture.levels), (made.other, picture.other_levels)):
+        kelvin = state.values("kinetic")
+        known = np.isfinite(kelvin)
+        np.testing.assert_allclose(
+            levels[known], np.clip(253 * (kelvin[known] - low) / (high - low), 0, 253), atol=0.51
+        )
 
 
 def test_a_table_and_the_values_of_a_difference_hold_the_difference_and_say_so(renderers):
@@ -113,7 +131,7 @@ def test_a_table_and_the_values_of_a_difference_hold_the_difference_and_say_so(r
     view = View(Pose.typed("0,-6,10,0,-55,0", session.base), layer="kinetic", against="hour 3")
     session.renders.look("tab", view, shown.append, session.reference("hour 3"))
     wait_for(lambda: shown)
-    made, _ = session.renders.shown("tab")
+    made, picture = session.renders.shown("tab")
     change = made.values("kinetic") - made.other.values("kinetic")
     data, name = exported(session, "tab", "table.csv", 0.5)
     assert name == "balance-kinetic-minus-hour-3-version-0.table.csv"
@@ -126,4 +144,38 @@ def test_a_table_and_the_values_of_a_difference_hold_the_difference_and_say_so(r
     np.testing.assert_allclose(values, change, atol=1e-3)
     assert "# shown: Kinetic temperature, minus that of solar hour 3" in text
     assert f"# time_utc: {session.base.time}Z" in text
+    # A click or stroke belongs to the picture that it was made on, while that is kept.
+    first = picture.number
+    for number in range(first + 1, first + 5):
+        turned = replace(view, pose=Pose.typed(f"{0.1 * number},-6,10,0,-55,0", session.base))
+        session.renders.look("tab", turned, shown.append, session.reference("hour 3"))
+        wait_for(lambda number=number: shown[-1].number == number)
+    assert session.renders.shown("tab")[1].number == first + 4
+    assert session.renders.shown("tab", first + 2)[0].view.pose.east == pytest.approx(0.1 * (first + 2))
+    assert session.renders.shown("tab", first) == (None, None)
     session.close()
+
+
+def test_what_is_saved_is_compared_at_the_hour_that_is_shown_and_a_version_says_its_own(renderers):
+    session = Session(renderers[0], "fast")
+    time = session.at_hour(16.0)
+    session.edit(0, "", lambda document: replace(document, time=time))
+    scene, words = session.reference("saved")
+    assert scene.time == time and words == "the saved scene"
+    assert scene is session.reference("saved")[0]
+    scene, words = session.reference("version 0")
+    assert scene.time == session.base.time
+    assert words == f"version 0 ({session.hour_text(session.history.document_of(0))})"
+    session.edit(1, "", lambda document: document.with_text("grass_green", "emissivity", "0.8"))
+    assert session.reference("version 1")[1] == "version 1"
+    assert session.hour_text(session.document) == "solar hour 16:00"
+
+
+def test_a_name_of_a_point_never_stands_for_another(renderers):
+    session = Session(renderers[0], "fast")
+    point = Point.at(shot(renderers[0], "0,-6,10,0,-55,0", "kinetic"), (200, 250))
+    for _ in range(2):
+        session.keep([*session.points, replace(point, name=session.next_name())])
+    session.keep(session.points[1:])
+    session.keep([*session.points, replace(point, name=session.next_name())])
+    assert [each.name for each in session.points] == ["2", "3"]

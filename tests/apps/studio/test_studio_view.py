@@ -117,6 +117,26 @@ def test_a_kept_point_stays_on_its_surface_and_the_address_brings_view_and_mater
 
 
 @pytest.mark.slow
+def test_a_click_belongs_to_the_picture_that_is_seen_while_a_later_one_is_on_its_way(page, folder):
+    held, number = [], page.number
+    page.page.route("**/frame/**", lambda route: held.append(route))
+    page.part("pose").fill("3,-6,10,0,-55,0")
+    page.part("pose").press("Enter")
+    page.page.wait_for_function("() => studio.loading", timeout=WAIT_MS)
+    page.click_pixel(200, 250)
+    page.page.wait_for_timeout(500)
+    assert page.number == number
+    for route in held:
+        route.continue_()
+    page.page.unroute("**/frame/**")
+    page.later_than(number)
+    east, north, up = frame_of(folder).truth["position"][250, 200]
+    place = page.figure("Position E, N, up").filter(has_text=f"{east:.1f}, {north:.1f}, {up + 0.0:.1f} m")
+    place.wait_for(timeout=WAIT_MS)
+    pose(page, POSE)
+
+
+@pytest.mark.slow
 def test_the_list_of_edits_goes_to_any_of_them(page):
     page.choose("grass_green")
     first = page.version
@@ -150,6 +170,32 @@ def test_a_comparison_with_a_version_that_another_edit_has_replaced_ends_with_a_
     page.page.get_by_text(f"version {replaced} is no longer there").wait_for(timeout=WAIT_MS)
     page.page.wait_for_function("() => !location.search.includes('against')", timeout=WAIT_MS)
     page.part("picture-title").get_by_text("Apparent temperature", exact=True).wait_for(timeout=WAIT_MS)
+
+
+@pytest.mark.slow
+def test_one_end_of_the_colours_keeps_the_other_and_a_split_view_has_its_own(page):
+    page.part("colours").click()
+    shown = page.page.evaluate("studio.picture.ticks.at(0)")
+    page.part("low").fill("280")
+    page.part("low").press("Enter")
+    page.page.wait_for_function("() => studio.picture.ticks.at(-1) === '280.0'", timeout=WAIT_MS)
+    assert float(page.part("high").input_value()) == pytest.approx(float(shown), abs=0.01)
+    page.part("high").fill("270")
+    page.part("high").press("Enter")
+    page.page.get_by_text("range=280…270 is not in order").wait_for(timeout=WAIT_MS)
+    compare_with(page, "the saved scene")
+    assert page.part("low").input_value() == ""
+    page.part("low").fill("-3")
+    number = page.number
+    page.part("low").press("Enter")
+    page.later_than(number)
+    assert "range=-3," in page.page.url
+    page.part("compare-as").get_by_text("Split").click()
+    page.page.wait_for_function("() => studio.picture.other && !location.search.includes('range')", timeout=WAIT_MS)
+    assert page.part("low").input_value() == ""
+    compare_with(page, "nothing")
+    page.part("colours").click()
+    assert "slider" not in page.page.url
 
 
 @pytest.mark.slow

@@ -285,8 +285,10 @@ def _check_sample(sample: Sample, name: str, first: float, last: float) -> None:
             f"emissivity {1.0 - sample.reflectance[at]:g}, at {sample.wavelength_um[at]:g} µm, outside 0…100 % at "
             f"{np.count_nonzero(bad)} wavelengths; leave the sample out, or correct its units"
         )
-    inside = sample.reflectance[kept]
-    low, high = inside.min(initial=1.0), inside.max(initial=0.0)
+    # The ends of the table may be between points.
+    ends = np.interp([first, last], sample.wavelength_um, sample.reflectance)
+    inside = np.concatenate([sample.reflectance[kept], ends])
+    low, high = inside.min(), inside.max()
     if high < _DARKEST or low > _BRIGHTEST:
         extreme, wrong = ("at most", high) if high < _DARKEST else ("at least", low)
         raise ThermorenderError(

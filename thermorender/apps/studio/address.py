@@ -1,7 +1,6 @@
 """A view and the chosen material in the address of the page, so that reload, Back and a bookmark bring them back."""
 
 import contextlib
-import math
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
@@ -17,13 +16,15 @@ from thermorender.materials.csv_tables import decimal
 if TYPE_CHECKING:
     from thermorender import Scene
 
+# Largest time of an address [s].
+_LATEST_S = 1e6
 # What a view may be compared with.
 _AGAINST = re.compile(r"saved|version \d{1,6}|hour [\d.]{1,9}")
 
 
 def query_of(view: View, scene: "Scene", material: str) -> str:
     """Return the query of an address that brings a view and a material back."""
-    ends = ",".join(f"{end:g}" for end in view.limits) if view.limits else ""
+    ends = ",".join(f"{end:.6g}" for end in view.limits) if view.limits else ""
     given = {
         "pose": view.pose.text(scene), "t": f"{view.time_s:g}" if view.time_s else "",
         "plan": "1" if view.plan else "", "show": view.layer, "against": view.against,
@@ -48,7 +49,7 @@ def view_at(query: Mapping[str, str], scene: "Scene", first: View, learned: bool
         return lambda text: {key: text} if text in names else {}
 
     state(lambda text: {"pose": Pose.typed(text, scene)}, "pose")
-    state(lambda text: {"time_s": _finite(text)}, "t")
+    state(lambda text: {"time_s": _time(text)}, "t")
     there = layers_of(scene, made.plan, learned)
     made = replace(made, layer=made.layer if made.layer in there else "kinetic")
     state(known("layer", there), "show")
@@ -65,8 +66,8 @@ def _against(text: str) -> dict[str, Any]:
     return {"against": f"hour {hour_of(hour):g}" if kind == "hour" else text}
 
 
-def _finite(text: str) -> float:
+def _time(text: str) -> float:
     value = decimal(text)
-    if not math.isfinite(value):
+    if not 0.0 <= value <= _LATEST_S:
         raise ValueError(text)
     return value

@@ -69,7 +69,7 @@ def below(
 ) -> dict[str, Any]:  # fmt: skip
     """Return what the page shows below a picture; `parts` are of the picked pixel."""
     told: dict[str, Any] = {"marks": [], "probes": [], "table": _table(shot, picture, areas_m2, colours)}
-    told["sides"] = [f"version {picture.version}", shot.view.against] if shot.other is not None else []
+    told["sides"] = list(picture.sides or ())
     for point in kept:
         place = point.pixel_in(shot)
         found = None if place is None else shot.figures(*place)
@@ -102,7 +102,9 @@ def _figures(
         return [words, *both]
 
     rows = [["Pixel", f"column {place[0]}, row {place[1]}"]]
-    if (value := _value_at(picture, place)) is not None and (picture.difference or shot.view.layer != "apparent"):
+    if (value := _value_at(picture, place)) is not None and (
+        picture.difference or shot.view.layer not in ("apparent", "kinetic")
+    ):
         rows.append([_shown_name(picture, shot.view), value])
     if found["apparent_k"] is not None:
         rows += [

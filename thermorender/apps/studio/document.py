@@ -149,8 +149,9 @@ class Document:
             raise ThermorenderError(
                 f"name={shortened(name)!r} is not a material name; use 1 … {_LONGEST_NAME} letters, digits, _ and -"
             )
-        if name in self.library:
-            raise ThermorenderError(f"there is a material {name!r} already; choose another name")
+        # Some systems do not tell files apart by case.
+        if known := next((each for each in self.library if each.casefold() == name.casefold()), None):
+            raise ThermorenderError(f"there is a material {known!r} already; choose another name")
 
     def of_class(self, number: int, material: str) -> "Document":
         """Return this Document with another material of a class of the scene."""

@@ -175,6 +175,7 @@ class Editor:
             self.choose(name)
 
         accept.on("click", done, js_handler=VERSION)
+        given.on("keydown.enter", done, js_handler=VERSION)
         dialog.open()
 
     def _duplicate(self) -> None:

@@ -38,7 +38,8 @@ def exported(session: "Session", tab: str, kind: str, metres: float) -> tuple[by
     if kind.startswith(("frame.", "map.")) and shot.frame is None:
         raise ThermorenderError("a plan has no camera frame; show the camera's view, and export again")
     base = session.base.name
-    against = f"-minus-{shot.view.against.replace(' ', '-')}" if picture.difference else ""
+    beside = "-beside-" if picture.other and kind in ("png", "svg") else "-minus-" if picture.difference else ""
+    against = f"{beside}{shot.view.against.replace(' ', '-')}" if beside else ""
     plan = "-plan" if shot.view.plan else ""
     name = f"{base}-{shot.view.layer}{against}{plan}-version-{picture.version}.{kind}"
     return session.renders.call(lambda: _made(session, shot, picture, kind, metres)), name

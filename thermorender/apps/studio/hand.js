@@ -49,7 +49,7 @@ Object.assign(studio, {
       studio.points = [];
       studio.draw();
       if (points.length)
-        studio.sent(emitEvent, "studio_stroke", { tool, points, version: studio.version });
+        studio.sent(emitEvent, "studio_stroke", { tool, points, version: studio.version, number: studio.picture.number });
     };
     const paints = () => studio.tool !== "look" && studio.tool !== "point";
     let drag = null, sum = [0, 0], busy = 0, zoom = 1, hovered = 0;
@@ -87,7 +87,7 @@ Object.assign(studio, {
         if (studio.tool !== "polygon") stroke();
       } else if (drag.far <= 0.01) {
         sum = [0, 0];
-        emitEvent("studio_pick", pixel(share(e)));
+        emitEvent("studio_pick", [...pixel(share(e)), studio.picture.number]);
       } else if (studio.tool === "look") {
         busy = 0;
         send();
@@ -119,7 +119,7 @@ Object.assign(studio, {
       studio.marking = e.key !== "Escape";
       if (studio.tool === "point") {
         emitEvent("studio_hover", pixel(studio.mark));
-        if (e.key === "Enter" || e.key === " ") emitEvent("studio_pick", pixel(studio.mark));
+        if (e.key === "Enter" || e.key === " ") emitEvent("studio_pick", [...pixel(studio.mark), studio.picture.number]);
       } else if (e.key === "Enter" || (e.key === " " && studio.tool !== "polygon" && studio.tool !== "brush")) {
         if (!studio.points.length) studio.points = [studio.mark];
         stroke();
@@ -132,6 +132,7 @@ Object.assign(studio, {
     document.addEventListener("keydown", (e) => {
       const letter = e.key.toLowerCase();
       if (!(e.ctrlKey || e.metaKey) || e.altKey || !"zy".includes(letter) || e.target.typed) return;
+      if (document.querySelector(".q-dialog")) return;
       e.preventDefault();
       const by = letter === "y" || e.shiftKey ? 1 : -1;
       studio.sent(emitEvent, "studio_step", { version: studio.version, by });

@@ -25,8 +25,6 @@ _STYLES, _SCRIPTS = ("studio.css",), ("state.js", "hand.js", "spectrum.js")
 # The tables follow the picture of an edit, which their own work in the browser would delay; at most so long after the
 # edit [s].
 _LATEST_S = 0.5
-# Edits that the history lists.
-_LISTED = 40
 
 
 def first_pose(session: Session) -> str:
@@ -114,7 +112,6 @@ class Tab:
             for (icon, button, tip), what in zip(self._steps, (history.undoes, history.redoes), strict=True):
                 button.set_enabled(bool(what))
                 tip.set_text(f"{icon.title()}: {what}" if what else f"Nothing to {icon}")
-            self._list_edits()
             self.editor.refresh()
             self.stage.refresh()
 
@@ -212,14 +209,14 @@ class Tab:
 
     def _header(self) -> None:
         with ui.element("header").classes("bar"):
-            ui.html('<a class="skip" href="#frame">To the picture</a><h1>Material studio</h1>', sanitize=False)
+            ui.html('<a class="skip" href="#frame">To the picture</a><h1>Thermorender studio</h1>', sanitize=False)
             leaving.scenes_link(self.session)
             ui.label(f"{self.session.base.name} · {self.session.base.spec.title or 'untitled'}").classes("scene")
             # Written by the script, together with the picture.
             ui.html("", sanitize=False).classes("soft").props('id="version" data-testid="version"')
             ui.html("rendering …", sanitize=False).classes("state").props(
                 'id="state" role="status" data-testid="state"'
-            )
+            ).tooltip("exact: solved, no preview. Show the estimated error of the rendering for that of each pixel.")
             self._steps = []
             for by, icon in ((-1, "undo"), (1, "redo")):
                 button = ui.button(icon=icon).props(f'flat dense round color=white data-testid="{icon}"')
@@ -230,12 +227,12 @@ class Tab:
             with ui.button(icon="history").props('flat dense round color=white aria-label="Edits" data-testid="edits"'):
                 ui.tooltip("Edits")
                 self._edits = ui.menu().props('anchor="bottom right" self="top right"').classes("edits")
+                self._edits.on_value_change(lambda e: self._list_edits() if e.value else None)
 
     def _list_edits(self) -> None:
         self._edits.clear()
-        entries = self.session.history.entries[-_LISTED:]
         with self._edits:
-            for version, what, steps in reversed(entries):
+            for version, what, steps in reversed(self.session.history.entries):
                 item = ui.menu_item("").props(f'data-version="{version}"').classes("" if steps else "chosen")
                 with item:
                     ui.label(f"{version} · {what or 'as read from the files'}")

@@ -38,7 +38,8 @@ def texels_of(shot: Shot, tool: str, points: Any, radius_px: float) -> NDArray[n
     if not least <= len(known) <= _MOST_CORNERS:
         what, end = ("polygon", ", and double-click to end it") if tool == "polygon" else ("stroke", "")
         raise ThermorenderError(
-            f"this {what} has {len(known)} points; draw one of {least} to {_MOST_CORNERS} points{end}"
+            f"this {what} has {len(known)} point{'s' * (len(known) != 1)}; draw one of {least} to {_MOST_CORNERS} "
+            f"points{end}"
         )
     corner = known * (camera.width, camera.height)
     if tool in ("area", "alike"):

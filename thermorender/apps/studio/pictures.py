@@ -49,7 +49,10 @@ class Picture:
     difference: bool = False  # from what it is compared with
     data: bytes = b""
     kind: str = "image/png"  # Media type of the data
-    other: bytes = b""  # What it is compared with, beside a slider
+    sides: tuple[str, str] | None = None  # What it and that which it is compared with are called
+    # What it is compared with, beside a slider, and its levels
+    other: bytes = b""
+    other_levels: NDArray[np.uint8] | None = field(default=None, repr=False)
     ends: tuple[float, float] | None = None  # of the colour bar; None without one
     palette: str = ""
     unit: str = ""
@@ -119,13 +122,15 @@ def picture_of(shot: Shot, what: str, blank: Picture, colours: "MaterialColours"
     view, about, other = shot.view, LAYERS[shot.view.layer], shot.other
     if reason := shot.shows(view.layer):
         raise ThermorenderError(reason)
-    blank = replace(blank, title=about.title + (", from above" if view.plan else ""))
+    sides = (f"version {blank.version}", what) if other is not None else None
+    blank = replace(blank, title=about.title + (", from above" if view.plan else ""), sides=sides)
     beside = other is not None and (view.slider or not about.channel)
     if not about.channel:
         made = _without_values(shot, blank, colours)
         if not beside or other is None:
             return made
-        return replace(made, other=_without_values(other, blank, colours).data)
+        beside_it = _without_values(other, blank, colours)
+        return replace(made, other=beside_it.data, other_levels=beside_it.levels)
     values = shot.values(view.layer)
     before = None if other is None else other.values(view.layer)
     if before is not None and not beside:
@@ -138,7 +143,10 @@ def picture_of(shot: Shot, what: str, blank: Picture, colours: "MaterialColours"
     scale, most = (_DIFFERENCE, max(_largest(every), 1.0)) if about.signed else (view.palette, 0.0)
     ends = view.limits or ((-most, most) if about.signed else _automatic(every, about.unit))
     made = _drawn(blank, values, scale, ends, about.unit, words_of(values, about.unit))
-    return made if before is None else replace(made, other=_png(_levels(before, *ends), _table_of_values(scale)))
+    if before is None:
+        return made
+    levels = _levels(before, *ends)
+    return replace(made, other=_png(levels, _table_of_values(scale)), other_levels=levels)
 
 
 def _without_values(shot: Shot, blank: Picture, colours: "MaterialColours") -> Picture:
@@ -222,18 +230,20 @@ def figure_of(picture: Picture, title: str, kind: str) -> bytes:
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
-    figure = Figure(figsize=(8.0, 6.0), layout="constrained")
+    halves = [each for each in (picture.levels, picture.other_levels) if each is not None]
+    figure = Figure(figsize=(7.2 * len(halves) + 0.8, 6.0), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    levels = picture.levels
-    assert levels is not None
-    shown = levels if picture.colours is None else picture.colours[levels]
-    axes.imshow(shown, interpolation="nearest")
-    axes.set_axis_off()
-    axes.set_title(label(title), fontsize=9)
+    axes = figure.subplots(1, len(halves), squeeze=False)[0]
+    for one, levels, side in zip(
+        axes, halves, picture.sides if len(halves) > 1 and picture.sides else ("",), strict=True
+    ):
+        one.imshow(levels if picture.colours is None else picture.colours[levels], interpolation="nearest")
+        one.set_axis_off()
+        one.set_title(label(side), fontsize=9)
+    figure.suptitle(label(title), fontsize=9)
     if picture.ends is not None:
         bar = ScalarMappable(Normalize(*picture.ends), ListedColormap(table(picture.palette) / 255.0))
-        figure.colorbar(bar, ax=axes, label=label(picture.unit or "1"), shrink=0.8)
+        figure.colorbar(bar, ax=list(axes), label=label(picture.unit or "1"), shrink=0.8)
     elif picture.legend:
         patches = [Patch(color=colour, label=label(name)) for name, colour in picture.legend]
         figure.legend(handles=patches, loc="outside lower center", ncols=4, fontsize=7, frameon=False)

@@ -28,6 +28,8 @@ _ANSWERS_S = 120.0
 _FETCHED_S = 0.1
 # Least time between two reports of progress [s].
 REPORTS_S = 0.2
+# Pictures of a tab that a hand may still point at while a later one is on its way.
+_LAST = 3
 # Solutions that are kept to compare with.
 _KEPT = 3
 # Share of a solution that is its heat balance, where it has one.
@@ -96,7 +98,7 @@ class Renders:
     _jobs: list[Callable[[], object]] = field(default_factory=list)
     _long: Callable[[], object] | None = None
     _ended: bool = False
-    _shown: dict[str, tuple[Shot, Picture]] = field(default_factory=dict)
+    _shown: dict[str, list[tuple[Shot, Picture]]] = field(default_factory=dict)  # of each tab, the latest last
     _fetched: dict[str, Picture] = field(default_factory=dict)
     _solved: Renderer = field(init=False)
     _ready: Renderer | None = None
@@ -199,9 +201,14 @@ class Renders:
                 self._news.notify_all()
         return picture
 
-    def shown(self, tab: str) -> tuple[Shot | None, Picture | None]:
-        """Return the latest Shot of a tab and its Picture."""
-        return self._shown.get(tab, (None, None))
+    def shown(self, tab: str, number: int | None = None) -> tuple[Shot | None, Picture | None]:
+        """Return the latest Shot of a tab and its Picture, or those with the `number` of a picture; (None, None) where
+        there are none any more.
+        """
+        for shot, picture in reversed(self._shown.get(tab, [])):
+            if number is None or picture.number == number:
+                return shot, picture
+        return None, None
 
     def _run(self) -> None:
         while True:
@@ -240,7 +247,7 @@ class Renders:
         return bool(self._shown) and self._ready is not self.light.renderer
 
     def _all_fetched(self) -> bool:
-        return all(self._fetched.get(tab) is picture for tab, (_, picture) in self._shown.items())
+        return all(self._fetched.get(tab) is shown[-1][1] for tab, shown in self._shown.items())
 
     def _report(self, sentence: str, version: int) -> None:
         for seen in list(self._tabs.values()):
@@ -439,7 +446,7 @@ class Renders:
             if self._tabs.get(tab) is not seen and tab not in self._waiting:
                 return
             if made is not None:
-                self._shown[tab] = made
+                self._shown[tab] = [*self._shown.get(tab, []), made][-_LAST:]
         seen.show(told)
 
     def _made(self, tab: str, seen: Seen) -> tuple[Shot, Picture]:

@@ -188,9 +188,10 @@ class SceneFiles:
         }
         lines = []
         for each in diff(dict(saved.library), dict(document.library), self.scene.camera.band_um):
-            values = " → ".join("–" if value is None else f"{value:.4f}" for value in each.emissivity)
+            texts = ["–" if value is None else f"{value:.4f}" for value in each.emissivity]
             shift = "" if each.millikelvin is None else f" ({each.millikelvin:+.1f} mK at 300 K)"
-            lines.append(f"{each.name}  emissivity {values}{shift}: {_WORDS.get(each.what, each.what)}")
+            values = "" if texts[0] == texts[1] else f"emissivity {' → '.join(texts)}{shift}: "
+            lines.append(f"{each.name}  {values}{_WORDS.get(each.what, each.what)}")
         return files, lines + [f"materials/{path.relative_to(own)}  written" for path in files]
 
     def _rewritten(

@@ -146,6 +146,7 @@ class Session:
         # Held by the training under way; set to end it.
         self.training, self.stop_training = threading.Lock(), threading.Event()
         self.points: tuple[Point, ...] = ()  # kept, in all tabs
+        self._named = 0  # points so far
         self._scenes: list[tuple[Document, Scene]] = [(self.files.origin, self.base)]
         self._scene: Scene = self.base
         # Held by the edit, step, reload or write under way, in whatever thread.
@@ -216,6 +217,11 @@ class Session:
             self.files.write(save)
             self._saved()
 
+    def next_name(self) -> str:
+        """Return the name of the next point, which no other had."""
+        self._named += 1
+        return str(self._named)
+
     def keep(self, points: Iterable[Point]) -> None:
         """Keep these points, and no others."""
         self.points = tuple(points)
@@ -254,14 +260,32 @@ class Session:
         if not against:
             return None
         with self._editing:
-            if against == "saved":
-                return self._scene_of(self.files.saved), "the saved scene"
             kind, _, text = against.partition(" ")
+            if kind == "saved":
+                # The hour is not saved, and no difference is to be that of two hours.
+                return self._scene_of(self._at(self.files.saved, self.document.time)), "the saved scene"
             if kind == "version":
-                return self._scene_of(self.history.document_of(int(text))), against
-            time = self.at_hour(float(text))
-            known = next((of for of, _ in self._scenes if _is_at(of, self.document, time)), None)
-            return self._scene_of(known or replace(self.document, time=time)), f"solar hour {float(text):g}"
+                other = self.history.document_of(int(text))
+                hour = "" if other.time == self.document.time else f" ({self.hour_text(other)})"
+                return self._scene_of(other), against + hour
+            return self._scene_of(self._at(self.document, self.at_hour(float(text)))), f"solar hour {float(text):g}"
+
+    def _at(self, document: Document, time: "np.datetime64 | None") -> Document:
+        """A Document at an instant, the same one while its scene is kept."""
+        if document.time == time:
+            return document
+        known = next((of for of, _ in self._scenes if _is_at(of, document, time)), None)
+        return known or replace(document, time=time)
+
+    def hour_text(self, document: Document) -> str:
+        """Return the solar hour of a Document as on a clock."""
+        return f"solar hour {clock(self.hour_of(document))}"
+
+    def hour_of(self, document: Document) -> float:
+        """Return the solar hour of a Document of a scene that has one."""
+        time = document.time or self.base.time
+        assert time is not None
+        return float((time - self.midnight) / np.timedelta64(3600, "s"))
 
     @property
     def midnight(self) -> np.datetime64:
@@ -311,7 +335,13 @@ class Session:
         return {name: area / total for name, area in areas.items()} if total else {}
 
 
-def _is_at(document: Document, other: Document, time: np.datetime64) -> bool:
+def clock(hour: float) -> str:
+    """Return an hour of the day as on a clock."""
+    minutes = round(60.0 * hour)
+    return f"{minutes // 60:02d}:{minutes % 60:02d}"
+
+
+def _is_at(document: Document, other: Document, time: "np.datetime64 | None") -> bool:
     """Whether a Document is another one at an instant."""
     parts = ("library", "classes", "objects", "painted")
     return document.time == time and all(getattr(document, name) is getattr(other, name) for name in parts)

@@ -30,6 +30,7 @@ _HINTS = {
     False: "Drag to orbit, Shift-drag to pan, wheel to zoom, click a pixel for its figures",
     True: "Drag to pan, wheel to zoom, click a pixel for its figures",
 }
+_GONE = "the picture has changed several times since you pointed at it, so nothing was done; point at the new one"
 _STAGE = """
 <div class="view"><div class="stage" id="stage" style="--width:{width};--height:{height}">
 <img id="frame" data-testid="frame" tabindex="0" draggable="false" alt="The scene as the camera sees it. Drag to orbit,
@@ -59,7 +60,8 @@ class Stage:
     def __init__(self, tab: "Tab", view: View) -> None:
         self._tab, self._session, self.view = tab, tab.session, view
         self._picked: cards.Point | None = None
-        self._picking: cards.Pixel | None = None  # that a hand has picked, until the picture's figures are asked for
+        # What a hand has picked in which Shot, until the figures are asked for.
+        self._picking: tuple[cards.Pixel, Shot] | None = None
         self._under: cards.Pixel | None = None  # under the pointer
         self._picture: Picture | None = None
         self._looks = 0  # views that were asked for
@@ -68,6 +70,7 @@ class Stage:
         ui.html(_STAGE.format(width=camera.width, height=camera.height), sanitize=False).classes("viewbox")
         self._below()
         ui.html(_CARDS, sanitize=False)
+        self.timeline.follow(view.time_s)
         handlers: dict[str, Callable[[Any], object]] = {
             "move": self._move, "hover": self._hover, "pick": self._pick, "stroke": self._stroke, "keep": self._keep,
             "drop": self._drop, "choose": lambda event: self._tab.editor.choose(str(event.args)),
@@ -84,13 +87,13 @@ class Stage:
     def _tools(self) -> None:
         with ui.element("div").classes("tools"):
             self._layer = ui.select(self._layers(), value=self.view.layer, label="Show")
-            self._layer.props('dense outlined options-dense data-testid="layer"').style("width:218px")
+            self._layer.props('dense outlined options-dense data-testid="layer"').style("width:236px")
             self._layer.on_value_change(lambda e: self.change(new=True, layer=e.value))
             self._from = ui.toggle({False: "Camera", True: "From above"}, value=self.view.plan)
             self._from.props('dense no-caps data-testid="projection"')
             self._from.on_value_change(lambda e: self._seen_from(bool(e.value)))
             self._against = ui.select({"": "alone"}, value="", label="Compare with")
-            self._against.props('dense outlined options-dense data-testid="against"').style("width:168px")
+            self._against.props('dense outlined options-dense data-testid="against"').style("width:190px")
             self._against.on_value_change(lambda e: self._compared(str(e.value or "")))
             self._hour = ui.input("At hour", value="12", validation=lambda text: sentence_of(lambda: hour_of(text)))
             self._hour.props('dense outlined hide-bottom-space data-testid="against-hour"').style("width:130px")
@@ -181,15 +184,23 @@ class Stage:
 
     def _show_ends(self) -> None:
         for k, each in enumerate(self._ends):
-            each.set_value(f"{self.view.limits[k]:g}" if self.view.limits else "")
+            each.set_value(f"{self.view.limits[k]:.6g}" if self.view.limits else "")
 
     def _fixed(self) -> None:
-        low, high = (each.value or "" for each in self._ends)
+        typed, shown = (
+            [(each.value or "").strip() for each in self._ends],
+            self._picture.ends if self._picture else None,
+        )
+        if any(typed) and shown is not None:
+            # An end that is not typed stays where it is.
+            typed = [text or f"{end:.6g}" for text, end in zip(typed, shown, strict=True)]
         try:
-            self.change(limits=limits_of(low, high))
+            limits = limits_of(*typed)
         except ThermorenderError as error:
-            if low.strip() and high.strip():
-                self._tab.say(str(error))
+            self._tab.say(str(error))
+            return
+        self.change(limits=limits)
+        self._show_ends()
 
     def _below(self) -> None:
         with ui.element("div").classes("tools"):
@@ -197,7 +208,7 @@ class Stage:
             self._pose.props('dense outlined hide-bottom-space data-testid="pose"').style("flex:1;min-width:240px")
             self._pose.on("change", self._typed_pose)
             self._pose.set_value(self.view.pose.text(self._session.base))
-            whole = ui.button(icon="home", on_click=lambda: self.turn_to(self._tab.first.pose))
+            whole = ui.button(icon="home", on_click=lambda: self.turn_to(self._tab.first.pose, self._tab.first.time_s))
             whole.props('flat dense round aria-label="First view" data-testid="home"').tooltip("First view")
         self.timeline = Timeline(self._tab, self)
 
@@ -206,8 +217,10 @@ class Stage:
     def change(self, new: bool = False, **changes: Any) -> None:
         """Show another view; a `new` one is a step that the browser's Back takes back."""
         made = replace(self.view, **changes)
+        if not made.against:
+            made = replace(made, slider=False)
         # Ends of one quantity mean nothing for another one.
-        if made.layer != self.view.layer or bool(made.against) != bool(self.view.against):
+        if _quantity(made) != _quantity(self.view):
             made = replace(made, limits=changes.get("limits"))
         if made != self.view:
             self.show(made, new=new)
@@ -218,6 +231,7 @@ class Stage:
         self._pose.set_value(view.pose.text(self._session.base))
         self._show_ends()
         self._tools_follow()
+        self.timeline.follow(view.time_s)
         self.look()
         if remember:
             self._tab.remember(new)
@@ -311,7 +325,12 @@ class Stage:
         self._ask(self._say_under)
 
     def _pick(self, event: Any) -> None:
-        self._picking = (int(event.args[0]), int(event.args[1]))
+        column, row, number = map(int, event.args)
+        shot, _ = self._session.renders.shown(self._tab.key, number)
+        if shot is None:
+            self._tab.say(_GONE)
+            return
+        self._picking = (column, row), shot
         self._describe()
 
     def _keep(self, event: Any) -> None:
@@ -323,9 +342,7 @@ class Stage:
         if len(kept) == _MOST_POINTS:
             self._tab.say(f"{_MOST_POINTS} points are kept already; remove one first")
             return
-        taken = {each.name for each in kept}
-        name = next(str(number) for number in range(1, _MOST_POINTS + 1) if str(number) not in taken)
-        self._session.keep([*kept, replace(point, name=name)])
+        self._session.keep([*kept, replace(point, name=self._session.next_name())])
 
     def _drop(self, event: Any) -> None:
         self._session.keep([point for point in self._session.points if point.name != str(event.args)])
@@ -337,10 +354,10 @@ class Stage:
     def _stroke(self, event: Any) -> None:
         """Paint or label what a stroke covers."""
         given, material = event.args, self._tab.editor.name
-        shot, picture = self._session.renders.shown(self._tab.key)
+        shot, _ = self._session.renders.shown(self._tab.key, int(given["number"]))
         try:
-            if shot is None or picture is None:
-                raise ThermorenderError("there is no picture to paint on yet; wait for it, and draw again")
+            if shot is None:
+                raise ThermorenderError(_GONE)
             texels = painting.texels_of(shot, str(given["tool"]), given["points"], float(self._radius.value or 8))
             if self._training.labels_now:
                 self._training.label(labels.geometry_of(self._session.base, texels), material)
@@ -374,8 +391,8 @@ class Stage:
             "number": number, "version": picture.version, "words": picture.words, "exact": picture.exact,
             "title": picture.title, "unit": picture.unit, "notes": picture.notes, "legend": picture.legend,
             "gradient": gradient(picture.palette) if picture.ends else "", "ticks": picture.ticks(_TICKS),
-            "sides": [f"version {picture.version}", picture.view.against if picture.view else ""],
-            "hint": _HINTS[self.view.plan],
+            "sides": picture.sides,
+            "hint": _HINTS[self.view.plan], "place": _place(picture.view),
         }  # fmt: skip
         ui.run_javascript(f"studio.show({json.dumps(given)})")
 
@@ -416,15 +433,27 @@ class Stage:
         picking, self._picking = self._picking, None
         self._ask(lambda shot, picture: self._below_picture(shot, picture, picking))
 
-    def _below_picture(self, shot: Shot, picture: Picture, picking: cards.Pixel | None) -> dict[str, Any]:
-        """What stands below a picture, after a hand has picked the pixel `picking`."""
+    def _below_picture(
+        self, shot: Shot, picture: Picture, picking: tuple[cards.Pixel, Shot] | None
+    ) -> dict[str, Any]:  # fmt: skip
+        """What stands below a picture, after a hand has picked a pixel of a Shot."""
         session = self._session
         if picking is not None:
-            self._picked = cards.Point.at(shot, picking)
+            self._picked = cards.Point.at(picking[1], picking[0])
         place = self._picked.pixel_in(shot) if self._picked is not None else None
         parts = None if place is None else session.renders.parts(self._tab.key, (place[1], place[0]))
         told = cards.below(shot, picture, self._picked, session.points, parts, session.areas(), session.renders.colours)
-        found = shot.figures(*picking) if picking is not None else None
+        found = picking[1].figures(*picking[0]) if picking is not None else None
         if found and found["material"] and not found["object"]:
             told["picked_material"] = found["material"]
         return told
+
+
+def _quantity(view: View) -> tuple[str, bool]:
+    """What the ends of a view's colours are of: a layer, or its difference."""
+    return view.layer, bool(view.against) and not view.slider
+
+
+def _place(view: View | None) -> str:
+    """A text that is the same for views of the same places in the same pixels."""
+    return "" if view is None else repr((view.pose, view.time_s, view.plan))

@@ -38,6 +38,15 @@ window.studio = {
     studio.say();
     setTimeout(() => emitEvent("studio_heard", number), 0);
   },
+  // Sends an edit once a hand has held still, such as on a slider.
+  held(emit, value) {
+    clearTimeout(studio.holding);
+    studio.holding = setTimeout(() => {
+      studio.holding = null;
+      studio.sent(emit, value, studio.version);
+    }, 300);
+    studio.say();
+  },
   heard(number) {
     studio.answered = number;
     studio.say();
@@ -67,7 +76,7 @@ window.studio = {
     const share = work && !work.ended ? work.share : null;
     const solving = `solving ${Math.floor(100 * (work ? work.share : 0))} %`;
     if (!studio.online) return ["offline", "off"];
-    if (studio.waiting !== (studio.answered ?? 0)) return ["sending …", "preview"];
+    if (studio.holding || studio.waiting !== (studio.answered ?? 0)) return ["sending …", "preview"];
     if (studio.faulty === studio.latest) return ["not rendered", "off"];
     if (!shown) return [share === null ? "rendering …" : solving, "preview"];
     if (shown.version !== studio.latest) {
@@ -90,6 +99,7 @@ window.studio = {
     mark.hidden = !stale && !waits;
     mark.textContent = [stale ? `version ${shown.version}, before the edit` : "", waits].filter(Boolean).join("; ");
     studio.byId("stage").classList.toggle("before", stale || !!waits);
+    studio.byId("hover").classList.toggle("before", !!studio.hoverTold && (stale || studio.hoverTold !== shown.number));
     studio.byId("cards").classList.toggle("before", stale || !shown || studio.told !== shown.number);
   },
   // Shows a picture with all that belongs to it, once it has arrived; the latest one wins.
@@ -136,6 +146,11 @@ window.studio = {
       studio.slide();
     }
     studio.byId("outline").hidden = true;
+    // Corners of a polygon belong to the places that they were put on.
+    if (studio.picture && studio.picture.place !== given.place && studio.points.length) {
+      studio.points = [];
+      studio.draw();
+    }
     studio.picture = given;
     if (given.version === studio.latest) studio.faulty = null;
     Object.assign(image.dataset, { version: given.version, number: given.number });
@@ -187,7 +202,8 @@ window.studio = {
     }
     if (told.hover) {
       studio.byId("hover").textContent = told.hover;
-      studio.hoverTold = true;
+      studio.hoverTold = told.number;
+      studio.say();
     }
     if (!told.table) return;
     studio.told = told.number;
@@ -209,7 +225,7 @@ window.studio = {
     parts.replaceChildren();
     if (told.parts && told.parts.length) {
       const box = made("div", "", { class: "figures three" });
-      box.append(...["", "W m⁻² sr⁻¹", "in kelvin"].map((text) => made("div", text, { class: "k r" })));
+      box.append(...["", "W m⁻² sr⁻¹", "K less without"].map((text) => made("div", text, { class: "k r" })));
       for (const [name, words, radiance, kelvin] of told.parts)
         box.append(made("div", words, { class: "k" }), made("div", radiance, { class: "r", "data-part": name }),
           made("div", kelvin, { class: "r" }));

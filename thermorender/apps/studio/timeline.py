@@ -10,12 +10,12 @@ from nicegui import ui
 
 from thermorender import load_trajectory
 from thermorender.apps.studio.document import Document
-from thermorender.apps.studio.panels import VALUE_AND_VERSION, draw
+from thermorender.apps.studio.panels import draw
 from thermorender.apps.studio.renders import REPORTS_S
+from thermorender.apps.studio.session import clock
 from thermorender.apps.studio.spectrum import COLOURS, chart
 from thermorender.apps.studio.view import Pose
 from thermorender.errors import ThermorenderError
-from thermorender.units import utc_text
 
 if TYPE_CHECKING:
     from thermorender.apps.studio.page import Tab
@@ -26,12 +26,6 @@ _STEP_S = 0.2
 _STEP_MIN = 60
 # Lines of points, as of CSS; numbers are lengths of dashes and gaps [px].
 _DASHES: tuple[Any, ...] = ("dashed", [10, 4], [2, 4], [10, 4, 2, 4], [16, 4], [2, 8])
-
-
-def _clock(hour: float) -> str:
-    """An hour of the day as on a clock."""
-    minutes = round(60.0 * float(hour or 0.0))
-    return f"{minutes // 60:02d}:{minutes % 60:02d}"
 
 
 @dataclass(frozen=True)
@@ -102,22 +96,22 @@ class Timeline:
     # The hour.
 
     def _hours(self, base: Any) -> None:
-        hour = float((base.time - self._session.midnight) / np.timedelta64(3600, "s"))
         ui.label("Solar hour").classes("soft")
-        slider = ui.slider(min=0.0, max=24.0, step=0.25, value=round(4.0 * hour) / 4.0)
-        slider.props('aria-label="Solar hour" data-testid="hour"').style("flex:1")
-        ui.label().classes("soft").style("width:44px").bind_text_from(slider, "value", _clock)
-        slider.on("change", self._at, js_handler=VALUE_AND_VERSION)
-        self._hour = slider
+        self._hour = ui.slider(min=0.0, max=24.0, step=0.25, value=12.0)
+        self._hour.props('aria-label="Solar hour" data-testid="hour"').style("flex:1")
+        self._hour_words = ui.label().classes("soft").style("width:44px").props('data-testid="hour-words"')
+        self._hour.on("update:model-value", lambda e: self._hour_words.set_text(clock(float(e.args))))
+        self._hour.on("change", self._at, js_handler="(value) => studio.held(emit, value)")
         ui.button("Day's curve", on_click=self._day).props('flat dense data-testid="day"')
         self._day_words = ui.label("").classes("soft").props('data-testid="day-words"')
 
     def refresh(self) -> None:
         """Show the hour of the edits."""
         if self._session.base.temperature_state.weather_driven:
-            time = self._session.document.time or self._session.base.time
-            hour = float((time - self._session.midnight) / np.timedelta64(3600, "s"))
+            # The slider has quarters of an hour, and the words any minute.
+            hour = self._session.hour_of(self._session.document)
             self._hour.set_value(round(4.0 * hour) / 4.0)
+            self._hour_words.set_text(clock(hour))
             self._say_day()
 
     def _at(self, event: Any) -> None:
@@ -126,7 +120,7 @@ class Timeline:
         def change(document: Document) -> Document:
             return document if document.time == time else replace(document, time=time)
 
-        self._tab.edit(int(event.args[1]), f"time {utc_text(time)}", change)
+        self._tab.edit(int(event.args[1]), f"solar hour {clock(float(event.args[0]))}", change)
 
     def _day(self) -> None:
         """Compute a day of the kept points and of each material in the background, and draw it."""
@@ -152,18 +146,27 @@ class Timeline:
                     going(f"{what}: {share:.0%}")
 
             rows: list[dict[str, Any]] = []
+            ended = "ended by an edit or by another day"
             try:
                 for solved, row in day_temperatures(scene, _STEP_MIN, progress):
                     kelvin = np.concatenate([surface.temperature.ravel() for surface in solved.surfaces])
                     rows.append({**row, **{name: float(kelvin[texel]) for name, texel in points}})
                     drawn(_Curves(list(rows), names, version), "")
+                ended = ""
             except ThermorenderError as error:
+                ended = ""
                 drawn(None, str(error))
             finally:
-                # Another day, or an edit, ends this one.
-                going("")
+                going(ended)
 
         session.renders.later(job)
+
+    def follow(self, time_s: float) -> None:
+        """Let the slider of the flight show the time of a view [s]."""
+        if self._flight is not None and float(self._slider.value) != time_s:
+            start, stop = self._flight.span_s
+            self._slider.set_value(min(max(time_s, start), stop))
+            self._clock.set_text(f"{time_s:.1f} s")
 
     def _going(self, words: str) -> None:
         """Say how far the day under way is; "" where none is."""

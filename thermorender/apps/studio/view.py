@@ -171,7 +171,8 @@ def limits_of(low: str, high: str) -> tuple[float, float] | None:
     if not low.strip() and not high.strip():
         return None
     try:
-        ends = float(low), float(high)
+        # As many digits as the address and the fields show.
+        ends = float(f"{decimal(low):.6g}"), float(f"{decimal(high):.6g}")
     except ValueError:
         raise ThermorenderError(
             f"range={low!r}…{high!r} is not two numbers; give both ends in the unit of the bar, or leave both empty"
