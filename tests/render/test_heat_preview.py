@@ -222,7 +222,7 @@ def test_an_exact_edit_tests_for_the_sun_where_its_columns_or_instants_moved_and
     tested, share = [], Sun.share
     monkeypatch.setattr(Sun, "share", lambda *given: tested.append(1) or share(*given))
     # The light between the faces is that of the record.
-    monkeypatch.delattr("thermorender.render.heat.simulation._exchange")
+    monkeypatch.delattr("thermorender.render.heat.simulation._view_factors")
     exact = tr.Renderer(scene, rays=16, quality="fast", like=renderer, edits=True)
     assert bool(tested) == moves
     np.testing.assert_array_equal(kelvin(exact.scene), kelvin(fresh))

@@ -302,7 +302,7 @@ class _Sending:
         low, high = np.full(count, np.inf), np.full(count, -np.inf)
         np.minimum.at(low, record.material, sun)
         np.maximum.at(high, record.material, sun)
-        solved, operator = len(record.face_column), record.exchange.operator
+        solved, operator = len(record.face_column), record.factors.operator
         kind = record.face_material[:solved]
         drawn = np.flatnonzero(low <= high)
         lean = np.zeros(solved)

@@ -33,7 +33,7 @@ SUNLIGHT = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Exchange:
+class ViewFactors:
     """What the F faces of a geometry receive from one another, from the sky and from the ground beyond the scene."""
 
     geometry: Geometry
@@ -71,7 +71,7 @@ class Record:
         Face of every column.
     column : (T,) int32
         Column of the first part of each texel, −1 for those that have none.
-    exchange : Exchange
+    factors : ViewFactors
         Between the faces, for a run after an edit, too.
     face_material : (F,)
         The material of each face.
@@ -100,7 +100,7 @@ class Record:
     known: NDArray[np.float32]
     faces: NDArray[np.int32]
     column: NDArray[np.int32]
-    exchange: Exchange
+    factors: ViewFactors
     face_material: NDArray[np.integer]
     face_column: NDArray[np.integer]
     sun: SunMemory
@@ -171,7 +171,7 @@ class Recorder:
         known = [
             kelvin,
             *map(np.array, self._past),
-            simulation.exchange.sky[face],
+            simulation.factors.sky[face],
             np.array(place(columns.cooler)),
             inner,
         ]
@@ -194,7 +194,7 @@ class Recorder:
             simulation.mi, simulation.parts, simulation.present.astype(np.int64), simulation.state,
             simulation.inside_k, simulation.start,
             self._steps, drawn, simulation.material[drawn].astype(np.int64), face[at], table[at], self._light,
-            table, face.astype(np.int32), column, simulation.exchange, simulation.face_material,
+            table, face.astype(np.int32), column, simulation.factors, simulation.face_material,
             np.asarray(np.searchsorted(simulation.of_faces.place, simulation.column)), simulation.sun.memory or {},
             terms, row,
         )  # fmt: skip

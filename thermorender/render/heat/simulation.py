@@ -31,7 +31,7 @@ from thermorender.physics.srgb import linear_from_bytes
 from thermorender.render.arrays import Jit, aligned
 from thermorender.render.geometry import Geometry
 from thermorender.render.heat.copies import Copies
-from thermorender.render.heat.known_light import Exchange, Record, Recorder
+from thermorender.render.heat.known_light import Record, Recorder, ViewFactors
 from thermorender.render.heat.matter import (
     Kinds,
     Matter,
@@ -164,8 +164,8 @@ class _Simulation:
         self.alone, self.column = np.unique(_first_sides(geometry)[: self.faces], return_inverse=True)
         self.first = self._firsts(block)
         self.start = max(asked[0] - np.timedelta64(int(_BEFORE_S), "s"), self.weather.time[0])
-        same = known is not None and known.exchange.geometry is geometry
-        self.exchange = known.exchange if known is not None and same else _exchange(geometry)
+        same = known is not None and known.factors.geometry is geometry
+        self.factors = known.factors if known is not None and same else _view_factors(geometry)
         self.threads = threads()
         self.reflectance, self.emissivity = self._of_faces()
         self.present = np.unique(np.concatenate([self.material, self.face_material[: self.faces]]))
@@ -176,7 +176,7 @@ class _Simulation:
         solid = sum(surface.instances is None for surface in terrain)
         self.bodies = range(*(int(geometry.face_start[number]) for number in (ground, solid)))
         self.solid_faces = int(geometry.face_start[solid])
-        self._start_in_the_open(self.exchange.touching)
+        self._start_in_the_open(self.factors.touching)
         inner = np.array([surface.inner_w_m2 for surface in terrain], np.float32)
         self.inner_w_m2 = np.repeat(inner, [len(surface.faces) for surface in terrain]) if inner.any() else None
         copies, self.copies = range(solid, scene.solved_count), None
@@ -501,7 +501,7 @@ class _Simulation:
         middle = min(self.sun.instant(middle_s), self.weather.time[-1])
         found, towards = self.weather.at(middle), self.sun.towards(middle)
         level = float(found.direct_w_m2 * max(towards[2], 0.0) + found.diffuse_w_m2)
-        own = self.exchange.sky * np.float32(found.diffuse_w_m2 / max(level, 1.0))
+        own = self.factors.sky * np.float32(found.diffuse_w_m2 / max(level, 1.0))
         if towards[2] > 0.0 and found.direct_w_m2 > 0.0:
             here = dr.arange(mi.UInt32, len(self.alone))
             normal, face = dr.gather(mi.Vector3f, columns.normal, here), dr.gather(mi.UInt32, columns.face, here)
@@ -520,18 +520,18 @@ class _Simulation:
         kelvin = self.face_kelvin.copy()
         kelvin[: self.faces] = seen_k[self.column]
         emitted = self.emissivity * np.float32(STEFAN_BOLTZMANN) * kelvin**4
-        sky = self.exchange.sky * np.float32(found.longwave_w_m2)
+        sky = self.factors.sky * np.float32(found.longwave_w_m2)
         for _ in range(1 if self.arrives is not None else _REFLECTIONS):
             before = np.zeros((len(sky), 2), np.float32) if self.arrives is None else self.arrives
             leaves = (self.reflectance * (own + before[:, 0]), emitted + (1.0 - self.emissivity) * (sky + before[:, 1]))
             self.arrives = np.column_stack(list(self.threads.map(self._arriving, leaves)))
         upload = lambda values: mi.Float(aligned(values[: self.faces]))  # noqa: E731
         until = max(every_s * (np.floor(at_s / every_s + 1e-9) + 1.0), at_s + seconds)
-        return _Light(until, upload(self.exchange.sky), upload(self.arrives[:, 0]), upload(self.arrives[:, 1]))
+        return _Light(until, upload(self.factors.sky), upload(self.arrives[:, 0]), upload(self.arrives[:, 1]))
 
     def _arriving(self, leaves: NDArray[np.float32]) -> NDArray[np.float32]:
         """Light from other faces and from beyond the terrain; a product with one vector is faster than with two."""
-        return self.exchange.operator @ leaves + self.exchange.background * np.float32(self.mean(leaves))
+        return self.factors.operator @ leaves + self.factors.background * np.float32(self.mean(leaves))
 
     def mean(self, values: NDArray[Any]) -> Any:
         """Mean over the terrain's area."""
@@ -601,15 +601,15 @@ def _first_sides(geometry: Geometry) -> NDArray[np.integer]:
     return np.where(_leaves(geometry), index - (index - start) % 2, index)
 
 
-def _exchange(geometry: Geometry) -> Exchange:
-    """The Exchange of a geometry, from the rays of its light."""
+def _view_factors(geometry: Geometry) -> ViewFactors:
+    """The ViewFactors of a geometry, from the rays of its light."""
     transport, _ = transport_cache.traced(geometry, _RAYS)
     operator = transport.operator.astype(np.float32)
     sky, background = transport.sky.sum(axis=1).astype(np.float32), transport.background.astype(np.float32)
     if geometry.crowns is not None:
         both = _both_sides(geometry)
         operator, sky, background = both @ operator, both @ sky, both @ background
-    return Exchange(geometry, operator, sky, background, transport.touching)
+    return ViewFactors(geometry, operator, sky, background, transport.touching)
 
 
 def _both_sides(geometry: Geometry) -> Any:
