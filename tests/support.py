@@ -74,3 +74,20 @@ def allowed_skips(path=HERE / "allowed_skips.txt"):
     """{"file.py::test": reason} of the tests that may be skipped."""
     lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
     return dict(line.split(": ", 1) for line in lines if line and not line.startswith("#"))
+
+
+def write_dji_jpeg(path):
+    """Write a JPEG with the segments of DJI's radiometric ones, without a signal in them; return its path."""
+    import cv2
+    import numpy as np
+
+    _, data = cv2.imencode(".jpg", np.random.default_rng(0).integers(0, 256, (40, 48), np.uint8))
+    exif = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x0f\x01\x02\0\x04\0\0\0DJI\0\0\0\0\0"
+    signal = bytes(40000)
+    blocks = b"".join(
+        b"\xff" + bytes([kind]) + (len(block) + 2).to_bytes(2, "big") + block
+        for kind, block in ((0xE1, exif), (0xE3, signal), (0xE3, signal))
+    )
+    plain = data.tobytes()
+    path.write_bytes(plain[:2] + blocks + plain[2:])
+    return path

@@ -24,11 +24,6 @@ from thermorender.units import ZERO_CELSIUS_K
 _RAW, _CAMERA = 0x01, 0x20
 _MOST_PIXELS = 1 << 26
 _MOST_RECORDS = 512
-# What to do with a radiometric JPEG of DJI, after its name.
-DJI = (
-    "is a radiometric JPEG of DJI, whose calibration is not public; convert it with the DJI Thermal SDK, "
-    f"`dji_irp -s IN.JPG -a measure -o OUT.raw`, save these int16 values as TIFF and give scale=0.1,{ZERO_CELSIUS_K}"
-)
 
 
 @dataclass(frozen=True)
@@ -56,7 +51,7 @@ def read_flir_jpeg(path: str | PathLike[str]) -> RadiometricJpeg:
     except OSError as error:
         raise ThermorenderError(f"{path} cannot be read: {error.strerror}; give a radiometric JPEG") from None
     if dji_thermal(data):
-        raise ThermorenderError(f"{path} {DJI}")
+        raise ThermorenderError(f"{path} is a radiometric JPEG of DJI, not of FLIR; give it to read_dji_jpeg")
     try:
         records = _records(_container(data))
         missing = [name for kind, name in ((_RAW, "raw image"), (_CAMERA, "camera block")) if kind not in records]

@@ -1,4 +1,4 @@
-"""Files of temperature: 16-bit TIFFs linear in kelvin, written and read, and FLIR's radiometric JPEGs.
+"""Files of temperature: 16-bit TIFFs linear in kelvin, written and read, and radiometric JPEGs of FLIR and DJI.
 
 Cameras write TIFF counts without their unit: 0.04 K for a FLIR core in TLinear mode, 0.001 °C for others. The user has
 to give a scale that the file does not declare.
@@ -74,19 +74,28 @@ def read_temperature(
     path: str | PathLike[str], scale: tuple[float, float] | None = None,
     thermography: ThermographySettings | None = None, *, takes_scale: bool = True,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return the temperatures of a TIFF of one band or of FLIR's radiometric JPEG, (H, W) float64 [K]; NaN where none.
+    """Return the temperatures of a TIFF of one band or of a radiometric JPEG, (H, W) float64 [K]; NaN where none.
 
     `scale` is (kelvin per count, kelvin of count 0) of a TIFF that does not declare them; floats between 238 and 338
-    are kelvin without it. `thermography` replaces the settings stored in a JPEG. Margins count as no data, as in
+    are kelvin without it. `thermography` replaces the settings stored in FLIR's JPEG; DJI's is read as of
+    `dji_jpeg`. Margins count as no data, as in
     `kelvin_of_counts`, and so do values that are not finite and above 0 K. `takes_scale` is whether the user can state
     a scale.
     """
     path = Path(path)
     if path.suffix.lower() in FLIR_JPEG:
+        from thermorender.sensor.dji_jpeg import is_dji_jpeg, read_dji_jpeg
         from thermorender.sensor.flir_jpeg import read_flir_jpeg
 
         if scale is not None:
             raise ThermorenderError(f"{path} contains its calibration; leave out the scale")
+        if is_dji_jpeg(path):
+            if thermography is not None:
+                raise ThermorenderError(
+                    f"{path} is of DJI, whose pictures are read before any correction for surface and air; leave out "
+                    "the settings of thermography"
+                )
+            return read_dji_jpeg(path).kelvin
         return read_flir_jpeg(path).temperature(thermography)
     if path.suffix.lower() not in SUFFIXES:
         raise ThermorenderError(f"{path} is of unknown kind; give one of {', '.join(SUFFIXES)}{sequence_hint([path])}")

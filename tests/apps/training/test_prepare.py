@@ -9,7 +9,7 @@ import zlib
 import cv2
 import numpy as np
 import pytest
-from support import shared_data
+from support import shared_data, write_dji_jpeg
 from training_support import TRUE, pair
 
 from thermorender.apps.training import bounds, map_training, pictures
@@ -542,22 +542,13 @@ def test_scale_tags_and_units_of_a_tiff_are_followed(tmp_path, units, expected):
 
 def test_files_of_other_makers_name_the_tool_that_converts_them(tmp_path):
     from thermorender.apps.survey.footage.calibration import frame_files
-    from thermorender.sensor.flir_jpeg import read_flir_jpeg
 
-    made, data = cv2.imencode(".jpg", np.random.default_rng(0).integers(0, 256, (40, 48), np.uint8))
-    exif = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x0f\x01\x02\0\x04\0\0\0DJI\0\0\0\0\0"
-    signal = bytes(40000)
-    blocks = b"".join(
-        b"\xff" + bytes([kind]) + (len(block) + 2).to_bytes(2, "big") + block
-        for kind, block in ((0xE1, exif), (0xE3, signal), (0xE3, signal))
-    )
-    plain = data.tobytes()
-    (tmp_path / "plain.jpg").write_bytes(plain[:2] + blocks[: len(exif) + 4] + plain[2:])
-    (tmp_path / "radiometric.jpg").write_bytes(plain[:2] + blocks + plain[2:])
-    assert made and pictures.read_thermal(tmp_path / "plain.jpg").unit == "intensity"
-    for reader in (pictures.read_thermal, read_flir_jpeg):
-        with pytest.raises(ThermorenderError, match=r"radiometric JPEG of DJI.*dji_irp -s IN.JPG -a measure"):
-            reader(tmp_path / "radiometric.jpg")
+    radiometric = write_dji_jpeg(tmp_path / "radiometric.jpg").read_bytes()
+    # The same with the camera's name and without the signal.
+    (tmp_path / "plain.jpg").write_bytes(radiometric.replace(b"\xff\xe3", b"\xff\xe4"))
+    assert pictures.read_thermal(tmp_path / "plain.jpg").unit == "intensity"
+    with pytest.raises(ThermorenderError, match=r"radiometric JPEG of DJI.*dji_irp -s IN.JPG -a measure"):
+        pictures.read_thermal(tmp_path / "radiometric.jpg")
     (tmp_path / "seq").mkdir()
     (tmp_path / "seq" / "a.csq").write_bytes(b"FFF\0")
     for reader in (lambda path: frame_files([path]), lambda path: pictures.matched(path, path)):

@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError, ThermorenderWarning
 from thermorender.formats import decoded, picture_tags
-from thermorender.sensor.flir_jpeg import DJI, dji_thermal, read_flir_jpeg
+from thermorender.sensor.dji_jpeg import read_dji_jpeg
+from thermorender.sensor.flir_jpeg import dji_thermal, read_flir_jpeg
 from thermorender.sensor.radiometric_files import (
     kelvin_of_counts,
     likely_scales,
@@ -104,9 +105,13 @@ def read_thermal(path: str | Path, scale: Sequence[float] | None = None, intensi
     intensities.
     """
     path = Path(path)
-    if path.suffix.lower() in (".jpg", ".jpeg") and _radiometric(path):
+    maker = _maker(path) if path.suffix.lower() in (".jpg", ".jpeg") else ""
+    if maker:
         # Apparent temperature, before any correction for surface and air.
-        found = _of_kelvin(_upright(read_flir_jpeg(path).temperature(ThermographySettings()), path))
+        read = (
+            read_dji_jpeg(path).kelvin if maker == "DJI" else read_flir_jpeg(path).temperature(ThermographySettings())
+        )
+        found = _of_kelvin(_upright(read, path))
     elif path.suffix.lower() in (".tif", ".tiff"):
         found = _of_tiff(path, scale, intensity)
     else:
@@ -268,15 +273,15 @@ def _upright(image: np.ndarray, path: Path) -> np.ndarray:
     return np.ascontiguousarray(image[rows, columns])
 
 
-def _radiometric(path: Path) -> bool:
-    """Whether a JPEG carries FLIR's data; DJI's own are refused."""
+def _maker(path: Path) -> str:
+    """Whose radiometric data a JPEG carries: "FLIR", "DJI" or, without any, ""."""
     try:
         data = path.read_bytes()
     except OSError as error:
         raise ThermorenderError(f"{path} cannot be read ({error.strerror}); give a picture") from None
     if dji_thermal(data):
-        raise ThermorenderError(f"{path} {DJI}")
-    return re.search(rb"\xff\xe1..FLIR\0", data, re.DOTALL) is not None
+        return "DJI"
+    return "FLIR" if re.search(rb"\xff\xe1..FLIR\0", data, re.DOTALL) else ""
 
 
 def _of_tiff(path: Path, scale: Sequence[float] | None, intensity: bool) -> Thermal:

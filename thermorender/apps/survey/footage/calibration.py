@@ -24,6 +24,7 @@ from thermorender.files import atomic, check_output_file
 from thermorender.physics.planck import band_radiance_derivative
 from thermorender.schema import read_toml, toml_line, toml_value
 from thermorender.sensor.camera import model_path
+from thermorender.sensor.dji_jpeg import is_dji_jpeg
 from thermorender.sensor.flir_jpeg import read_flir_jpeg
 from thermorender.sensor.noise import NETD_REFERENCE_K
 from thermorender.sensor.optics import relative_illumination
@@ -348,7 +349,7 @@ def read_frame(path: Path, scale: tuple[float, float] | None) -> tuple[NDArray[n
 
     These are [(below, above) the colour scale [%]], or [] if no scale is stored.
     """
-    if path.suffix.lower() not in FLIR_JPEG:
+    if path.suffix.lower() not in FLIR_JPEG or is_dji_jpeg(path):
         return read_temperature(path, scale), []
     picture = read_flir_jpeg(path)
     ends = picture.camera["scale_raw"]

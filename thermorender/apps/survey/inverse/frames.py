@@ -19,6 +19,7 @@ from thermorender.apps.survey.footage.lens_files import Lens
 from thermorender.apps.survey.inverse.linear import RANGE_K
 from thermorender.errors import ThermorenderError
 from thermorender.formats import picture_tags
+from thermorender.sensor.dji_jpeg import is_dji_jpeg, read_dji_jpeg
 from thermorender.sensor.flir_jpeg import read_flir_jpeg
 from thermorender.sensor.radiometric_files import FLIR_JPEG, SUFFIXES, check_upright, read_temperature
 from thermorender.sensor.radiometry import ThermographySettings
@@ -147,10 +148,11 @@ def read_frames(
     """
     files, own, notes = _with_places(files, places)
     images: dict[Path, NDArray[np.float32]] = {}
-    settings: list[ThermographySettings] = []
+    settings: dict[Path, ThermographySettings] = {}
+    readings: list[str] = []
     invalid, digests, copies = 0, dict[bytes, Path](), dict[Path, Path]()
     for path in files:
-        read = _read_kelvin(path, scale, settings)
+        read = _read_kelvin(path, scale, settings, readings)
         kelvin, outside = _known(path, read)
         # Even frames, such as of a closed shutter, are alike without being copies.
         even = np.nanmin(kelvin) == np.nanmax(kelvin)
@@ -166,12 +168,12 @@ def read_frames(
                 f"{path} has {kelvin.shape[1]}×{kelvin.shape[0]} pixels and {files[0]} "
                 f"{first.shape[1]}×{first.shape[0]}; give frames of one camera"
             )
-    notes += _notes_on(invalid, settings, copies)
+    notes += _notes_on(invalid, [*settings.values()], readings, copies)
     chosen = [own[path.stem] for path in images]
     poses, said = poses_of(chosen, scene, above_ground_m)
     names = tuple(path.stem for path in images)
     times = tuple(place.time or tagged_time(path) for path, place in zip(images, chosen, strict=True))
-    removed = tuple(path.suffix.lower() in FLIR_JPEG for path in images)
+    removed = tuple(path in settings for path in images)
     return Survey(names, times, np.stack([*images.values()]), poses, (*notes, *said), _common_lens(chosen), removed)
 
 
@@ -194,18 +196,28 @@ def _with_places(
     return [path for path in files if path.stem in own], own, notes
 
 
-def _read_kelvin(path: Path, scale: tuple[float, float] | None, settings: list[ThermographySettings]) -> Floats:
-    """Apparent temperatures (H, W) [K] of a file; appends the settings of a radiometric JPEG to `settings`."""
+def _read_kelvin(
+    path: Path, scale: tuple[float, float] | None, settings: dict[Path, ThermographySettings], readings: list[str]
+) -> Floats:  # fmt: skip
+    """Apparent temperatures (H, W) [K] of a file; notes the settings of a radiometric JPEG of FLIR in `settings`, and
+    in `readings` how another program read one of DJI.
+    """
     check_upright(path)
     if path.suffix.lower() not in FLIR_JPEG:
         return read_temperature(path, scale)
+    if is_dji_jpeg(path):
+        found = read_dji_jpeg(path)
+        readings.append(found.words)
+        return found.kelvin
     picture = read_flir_jpeg(path)
-    settings.append(picture.thermography)
+    settings[path] = picture.thermography
     # The scene has emissivities, so that of a setting for all surfaces is not removed as well.
     return picture.temperature(replace(picture.thermography, emissivity=1.0))
 
 
-def _notes_on(invalid: int, settings: Sequence[ThermographySettings], copies: Mapping[Path, Path]) -> list[str]:
+def _notes_on(
+    invalid: int, settings: Sequence[ThermographySettings], readings: Sequence[str], copies: Mapping[Path, Path]
+) -> list[str]:  # fmt: skip
     """Sentences on pixels without temperature, on settings that were used, and on copies left out."""
     notes = []
     if invalid:
@@ -213,6 +225,11 @@ def _notes_on(invalid: int, settings: Sequence[ThermographySettings], copies: Ma
         notes.append(f"{invalid} pixels outside {low:g}–{high:g} K are left out")
     if settings:
         notes.append(_said(settings))
+    for words in dict.fromkeys(readings):
+        notes.append(
+            f"{readings.count(words)} radiometric JPEGs of DJI were read by {words}; another temperature of the air "
+            "moves all of them by kelvins"
+        )
     if copies:
         shown = ", ".join(f"{path.name} of {kept.name}" for path, kept in list(copies.items())[:5])
         notes.append(
