@@ -40,4 +40,4 @@ def test_the_built_reference_has_every_public_name(tmp_path):
     text = page.read_text(encoding="utf-8")
     page.write_text(text.replace("{eval-rst}\n.. autoclass:: thermorender.Renderer", "text\n.. autoclass:: Renderer"))
     wrong = built()
-    assert wrong.returncode != 0 and "lacks BakedScene, Frame, Renderer, pose" in wrong.stderr
+    assert wrong.returncode != 0 and re.search(r"lacks .*\bRenderer\b", wrong.stderr)

@@ -106,6 +106,23 @@ def test_a_difference_is_called_one_and_the_figures_of_both_states_stand_side_by
     assert len(heat["Long-wave emitted"]) == 2 and heat["Long-wave emitted"][0] != heat["Long-wave emitted"][1]
 
 
+@pytest.mark.parametrize(
+    ("limits", "expected"),
+    [
+        (None, lambda low, high: (low, high)),
+        ((280.0, None), lambda low, high: (280.0, high)),
+        ((None, 320.0), lambda low, high: (low, 320.0)),
+        ((400.0, None), lambda low, high: (400.0, 400.0 + high - low)),
+        ((None, 100.0), lambda low, high: (100.0 - high + low, 100.0)),
+    ],
+)
+def test_an_end_of_the_colours_that_is_not_fixed_is_as_the_picture_needs(renderers, limits, expected):
+    made = shot(renderers[0], "0,-6,10,0,-55,0", "kinetic")
+    free = pictured(made).ends
+    made = replace(made, view=replace(made.view, limits=limits))
+    assert pictured(made).ends == pytest.approx(expected(*free))
+
+
 def test_the_file_of_a_split_view_shows_both_halves_and_their_names(renderers):
     made = shot(renderers[0], "0,-6,10,0,-55,0", "kinetic", other=renderers[1])
     made = replace(made, view=replace(made.view, slider=True))

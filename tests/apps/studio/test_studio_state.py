@@ -56,7 +56,7 @@ def fixed(page):
         number = page.number
         page.part(key).fill(f"{end:g}")
         page.part(key).press("Enter")
-    page.later_than(number)
+        page.later_than(number)
     page.page.locator(".q-select:visible").filter(has_text="Palette").click()
     number = page.number
     page.page.get_by_role("option", name="white-hot").click()

@@ -24,7 +24,7 @@ _AGAINST = re.compile(r"saved|version \d{1,6}|hour [\d.]{1,9}")
 
 def query_of(view: View, scene: "Scene", material: str) -> str:
     """Return the query of an address that brings a view and a material back."""
-    ends = ",".join(f"{end:.6g}" for end in view.limits) if view.limits else ""
+    ends = ",".join("" if end is None else f"{end:.6g}" for end in view.limits) if view.limits else ""
     given = {
         "pose": view.pose.text(scene), "t": f"{view.time_s:g}" if view.time_s else "",
         "plan": "1" if view.plan else "", "show": view.layer, "against": view.against,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.apps.studio.layers import LAYERS, NOTHING, Shot
-from thermorender.apps.studio.view import View
+from thermorender.apps.studio.view import Limits, View
 from thermorender.errors import ThermorenderError
 from thermorender.formats import encoded_image, label
 from thermorender.frame.picture import limits as automatic
@@ -136,12 +136,12 @@ def picture_of(shot: Shot, what: str, blank: Picture, colours: "MaterialColours"
     if before is not None and not beside:
         change = values - before
         most = max(_largest(change), _LEAST_DIFFERENCE[about.unit])
-        ends = view.limits or (-most, most)
+        ends = _within(view.limits, (-most, most))
         blank = replace(blank, title=f"{blank.title}, minus that of {what}", difference=True)
         return _drawn(blank, change, _DIFFERENCE, ends, about.unit, words_of(change, about.unit))
     every = values if before is None else np.stack([values, before])
     scale, most = (_DIFFERENCE, max(_largest(every), 1.0)) if about.signed else (view.palette, 0.0)
-    ends = view.limits or ((-most, most) if about.signed else _automatic(every, about.unit))
+    ends = _within(view.limits, (-most, most) if about.signed else _automatic(every, about.unit))
     made = _drawn(blank, values, scale, ends, about.unit, words_of(values, about.unit))
     if before is None:
         return made
@@ -197,6 +197,17 @@ def _automatic(values: NDArray[np.floating], unit: str) -> tuple[float, float]:
         return automatic(values)
     low, high = (float(each) for each in np.percentile(known, (_TAILS, 100.0 - _TAILS)))
     return (low, high) if high - low > _LEAST_DIFFERENCE[unit] else (low, low + _LEAST_DIFFERENCE[unit])
+
+
+def _within(limits: Limits | None, free: tuple[float, float]) -> tuple[float, float]:
+    """The ends of the colours: fixed ones, and else those that the picture needs, as far apart where they are free."""
+    low, high = limits or (None, None)
+    span = free[1] - free[0]
+    if low is None:
+        low = free[0] if high is None or free[0] < high else high - span
+    if high is None:
+        high = free[1] if low < free[1] else low + span
+    return low, high
 
 
 def _largest(values: NDArray[np.floating]) -> float:

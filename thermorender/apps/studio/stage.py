@@ -180,27 +180,20 @@ class Stage:
 
     def _fix(self, now: bool) -> None:
         ends = self._picture.ends if now and self._picture else None
-        self.change(limits=(float(f"{ends[0]:.5g}"), float(f"{ends[1]:.5g}")) if ends else None)
+        for k, each in enumerate(self._ends):
+            each.set_value(f"{ends[k]:.6g}" if ends else "")
+        self._fixed()
 
     def _show_ends(self) -> None:
-        for k, each in enumerate(self._ends):
-            each.set_value(f"{self.view.limits[k]:.6g}" if self.view.limits else "")
+        for each, end in zip(self._ends, self.view.limits or (None, None), strict=True):
+            each.set_value("" if end is None else f"{end:.6g}")
 
     def _fixed(self) -> None:
-        typed, shown = (
-            [(each.value or "").strip() for each in self._ends],
-            self._picture.ends if self._picture else None,
-        )
-        if any(typed) and shown is not None:
-            # An end that is not typed stays where it is.
-            typed = [text or f"{end:.6g}" for text, end in zip(typed, shown, strict=True)]
+        low, high = (each.value or "" for each in self._ends)
         try:
-            limits = limits_of(*typed)
+            self.change(limits=limits_of(low, high))
         except ThermorenderError as error:
             self._tab.say(str(error))
-            return
-        self.change(limits=limits)
-        self._show_ends()
 
     def _below(self) -> None:
         with ui.element("div").classes("tools"):

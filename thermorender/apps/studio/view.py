@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from thermorender import Scene
 
 POSE_PARTS = ("E", "N", "U", "YAW", "PITCH", "ROLL")
+Limits = tuple[float | None, float | None]  # of colours, each of which may be free
 _LEAST_ABOVE_M, _NEAREST_M, _FARTHEST_M = 2.0, 5.0, 20_000.0
 _STEEPEST_DEG, _FLATTEST_DEG = -90.0, 5.0
 
@@ -146,8 +147,8 @@ class View:
     against: str = ""
     slider: bool = False  # Both side by side, instead of their difference
     palette: str = "ironbow"
-    # (float, float) or fixed ends of the colours; None: as the picture needs
-    limits: tuple[float, float] | None = None
+    # Fixed ends of the colours; None: as the picture needs
+    limits: Limits | None = None
 
 
 def same_place(one: View, other: View) -> bool:
@@ -166,17 +167,16 @@ def hour_of(text: str) -> float:
     return hour
 
 
-def limits_of(low: str, high: str) -> tuple[float, float] | None:
-    """Return the fixed ends of the colours from two texts; None where both are empty."""
-    if not low.strip() and not high.strip():
-        return None
+def limits_of(low: str, high: str) -> Limits | None:
+    """Return the fixed ends of the colours from two texts, of which an empty one is no fixed end; None for none."""
     try:
         # As many digits as the address and the fields show.
-        ends = float(f"{decimal(low):.6g}"), float(f"{decimal(high):.6g}")
+        ends = [float(f"{decimal(text):.6g}") if text.strip() else None for text in (low, high)]
     except ValueError:
         raise ThermorenderError(
-            f"range={low!r}…{high!r} is not two numbers; give both ends in the unit of the bar, or leave both empty"
+            f"range={low!r}…{high!r} is not two numbers; give ends in the unit of the bar, or leave them empty"
         ) from None
-    if not -math.inf < ends[0] < ends[1] < math.inf:
+    given = [end for end in ends if end is not None]
+    if not np.isfinite(given).all() or given != sorted(set(given)):
         raise ThermorenderError(f"range={low}…{high} is not in order; give the lower end first, and finite numbers")
-    return ends
+    return (ends[0], ends[1]) if given else None
