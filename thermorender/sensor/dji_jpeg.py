@@ -22,7 +22,7 @@ from thermorender.formats import finite_json
 from thermorender.sensor.flir_jpeg import dji_thermal
 from thermorender.units import ZERO_CELSIUS_K
 
-# From PyPI, for Python 3.12 and later. It equals DJI's own library for eight kinds of cameras.
+# From PyPI, for Python 3.12 and later. It equals DJI's own library for eight of nine kinds of cameras.
 PROGRAM = "dji-thermal-cli"
 _LIMIT_S = 120.0
 _ADVICE = (
@@ -77,7 +77,6 @@ def read_dji_jpeg(path: str | PathLike[str]) -> DjiReading:
             f"{path} is a radiometric JPEG of DJI, whose calibration is not public, and {PROGRAM} is not installed; "
             f"{_ADVICE}"
         )
-    version = _run(path, program, "--version").strip().splitlines()[-1:]
     stored, allowed = _stored(path, program)
     air = stored.get("ambient_temp", stored.get("reflection"))
     if air is None or "distance" not in stored:
@@ -97,10 +96,20 @@ def read_dji_jpeg(path: str | PathLike[str]) -> DjiReading:
             made = sorted(scratch.rglob("*_temp_k.tif*"))
             if len(made) == 1:
                 kelvin = _kelvin(path, made[0])
-                name = shortened(ascii(version[0]))[1:-1] if version else PROGRAM
-                return DjiReading(kelvin, name, distance, stored.get("humidity", np.nan), air)
+                return DjiReading(kelvin, _version(path, program), distance, stored.get("humidity", np.nan), air)
         refusal = refusal or next((line for line in said.splitlines() if "refused" in line or "skip" in line), "")
     raise _failed(path, f"it says {shortened(ascii(refusal.strip()))}" if refusal else "it wrote no temperatures")
+
+
+_VERSIONS: dict[str, str] = {}
+
+
+def _version(path: Path, program: str) -> str:
+    """Name and version of the program, which is asked once."""
+    if program not in _VERSIONS:
+        said = _run(path, program, "--version").strip().splitlines()
+        _VERSIONS[program] = shortened(ascii(said[-1]))[1:-1] if said else PROGRAM
+    return _VERSIONS[program]
 
 
 def _stored(path: Path, program: str) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:

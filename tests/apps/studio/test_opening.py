@@ -7,6 +7,7 @@ import time
 import numpy as np
 import pytest
 from rasterio.warp import transform
+from studio_support import wait_for
 
 import thermorender as tr
 from scenes import write_hut, write_raster, write_terrain
@@ -35,13 +36,6 @@ def studio():
     made = Studio("fast", "auto")
     yield made
     made.end()
-
-
-def waited(condition, seconds=60.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "nothing happened"
-        time.sleep(0.01)
 
 
 class EndedError(Exception):
@@ -243,15 +237,15 @@ def test_another_scene_closes_the_one_before_and_one_that_cannot_be_read_does_no
     left = []
     studio.leave = lambda: left.append(studio.told)
     studio.begin_opening(one, "folder")
-    waited(lambda: studio.work.ended)
+    wait_for(lambda: studio.work.ended)
     first = studio.session
     assert first.base.spec.folder == one and not left
     studio.begin_opening(tmp_path / "nowhere", "folder")
-    waited(lambda: studio.work.ended)
+    wait_for(lambda: studio.work.ended)
     assert "nowhere' does not exist; give a folder with a scene.toml" in studio.work.fault
     assert studio.session is first
     studio.begin_opening(other, "folder")
-    waited(lambda: studio.work.ended)
+    wait_for(lambda: studio.work.ended)
     assert studio.session.base.spec.folder == other and left == ["one is closed, as other was opened in its place"]
     assert not first.renders._thread.is_alive()
     assert [each.folder for each in listed()[1]] == [other, one]
@@ -260,7 +254,7 @@ def test_another_scene_closes_the_one_before_and_one_that_cannot_be_read_does_no
 def test_a_scene_that_is_edited_while_another_one_is_read_stays_open(tmp_path, studio, monkeypatch):
     one, other = (write_terrain(tmp_path / name) for name in ("one", "other"))
     studio.begin_opening(one, "folder")
-    waited(lambda: studio.work.ended)
+    wait_for(lambda: studio.work.ended)
     first, going = studio.session, threading.Event()
     for made in (lambda document: document.of_class(1, "snow"), lambda document: document.of_class(2, "snow")):
         begun = threading.Event()
@@ -275,14 +269,14 @@ def test_a_scene_that_is_edited_while_another_one_is_read_stays_open(tmp_path, s
         assert begun.wait(60.0)
         first.edit(first.history.version, "", made)
         going.set()
-        waited(lambda: studio.work.ended)
+        wait_for(lambda: studio.work.ended)
         assert "one was edited meanwhile and is not saved, so it stays open; save it" in studio.work.fault
         assert studio.session is first
         going.clear()
     # Edits that were there when it began are lost, as the page has asked.
     going.set()
     studio.begin_opening(other, "folder")
-    waited(lambda: studio.work.ended)
+    wait_for(lambda: studio.work.ended)
     assert studio.session.base.spec.folder == other
 
 
@@ -298,17 +292,17 @@ def test_work_is_cancelled_at_its_next_step_and_refuses_other_work_meanwhile(tmp
     monkeypatch.setattr(opening, "Renderer", endless)
     studio.begin_opening(folder, "folder")
     assert begun.wait(60.0)
-    waited(lambda: (studio.work.what, studio.work.share) == ("tracing", 0.25))
+    wait_for(lambda: (studio.work.what, studio.work.share) == ("tracing", 0.25))
     with pytest.raises(ThermorenderError, match="Opening one is under way; wait until it ends, or cancel it"):
         studio.begin_form("practice", texts(PRACTICE))
     studio.cancel()
-    waited(lambda: studio.work.ended)
+    wait_for(lambda: studio.work.ended)
     assert studio.session is None and studio.busy is None and not studio.work.fault
     # What renders later must not be cancelled by it, nor a scene that is open count as cancelled.
     monkeypatch.setattr(opening, "Renderer", tr.Renderer)
     monkeypatch.setattr(opening, "remember", lambda folder: studio.cancel())
     studio.begin_opening(folder, "folder")
-    waited(lambda: studio.work.ended)
+    wait_for(lambda: studio.work.ended)
     assert studio.session is not None and not studio.work.cancelled
     studio.cancel()
     assert not studio.work.cancelled
@@ -319,11 +313,11 @@ def test_a_fault_of_the_studio_itself_is_a_sentence_and_the_next_scene_opens(tmp
     with monkeypatch.context() as patch:
         patch.setattr(opening, "Renderer", lambda *arguments, **settings: 1 / 0)
         studio.begin_opening(folder, "folder")
-        waited(lambda: studio.work.ended)
+        wait_for(lambda: studio.work.ended)
     assert studio.work.fault.startswith("the studio failed here (ZeroDivisionError)")
     assert "ZeroDivisionError" in capfd.readouterr().err
     studio.begin_opening(folder, "folder")
-    waited(lambda: studio.work.ended)
+    wait_for(lambda: studio.work.ended)
     assert studio.session is not None
 
 
@@ -331,7 +325,7 @@ def test_an_imported_terrain_is_opened_with_what_is_doubtful_of_it(tmp_path, stu
     dem, photo = rasters(tmp_path)
     form = texts(IMPORT, elevation=str(dem), orthophoto=str(photo), output=str(tmp_path / "made"))
     studio.begin_form("import", form)
-    waited(lambda: studio.work.ended)
+    wait_for(lambda: studio.work.ended)
     assert not studio.work.fault
     assert studio.session.base.spec.folder == tmp_path / "made"
     assert any("temperatures of the imported terrain are a placeholder" in note for note in studio.notes)

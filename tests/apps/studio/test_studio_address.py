@@ -13,7 +13,7 @@ from scenes import WEATHER, write_balance, write_terrain
 from thermorender.apps.studio.address import query_of, view_at
 from thermorender.apps.studio.exports import command, commands
 from thermorender.apps.studio.session import Session
-from thermorender.apps.studio.view import Pose, View, hour_of
+from thermorender.apps.studio.view import Pose, View, parsed_hour
 from thermorender.cli.options import ViewOptions
 from thermorender.errors import ThermorenderError
 
@@ -117,6 +117,6 @@ def test_a_pose_far_outside_the_terrain_or_under_it_is_refused(scene):
 
 @pytest.mark.parametrize("text", ["", "noon", "99", "-3", "nan", "1_0", "24.01"])
 def test_an_hour_is_a_number_from_0_to_24(text):
-    assert hour_of("24") == 24.0 and hour_of(" 4.5") == 4.5
+    assert parsed_hour("24") == 24.0 and parsed_hour(" 4.5") == 4.5
     with pytest.raises(ThermorenderError, match="is not a solar hour; give a number from 0 to 24"):
-        hour_of(text)
+        parsed_hour(text)

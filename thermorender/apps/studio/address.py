@@ -9,7 +9,7 @@ from urllib.parse import urlencode
 
 from thermorender.apps.studio.layers import layers_of
 from thermorender.apps.studio.pictures import NAMES
-from thermorender.apps.studio.view import Pose, View, hour_of, limits_of
+from thermorender.apps.studio.view import Pose, View, limits_of, parsed_hour
 from thermorender.errors import ThermorenderError
 from thermorender.materials.csv_tables import decimal
 
@@ -63,7 +63,7 @@ def _against(text: str) -> dict[str, Any]:
     if not _AGAINST.fullmatch(text):
         return {}
     kind, _, hour = text.partition(" ")
-    return {"against": f"hour {hour_of(hour):g}" if kind == "hour" else text}
+    return {"against": f"hour {parsed_hour(hour):g}" if kind == "hour" else text}
 
 
 def _time(text: str) -> float:

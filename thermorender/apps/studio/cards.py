@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from thermorender.apps.studio.layers import LAYERS, Shot, statistics
 from thermorender.apps.studio.pictures import MaterialColours, Picture, quantity
-from thermorender.apps.studio.view import View, same_place
+from thermorender.apps.studio.view import View
 from thermorender.render.pixels.parts import PixelParts
 
 # Parts of a pixel's radiance, in words.
@@ -44,7 +44,7 @@ class Point:
 
     def pixel_in(self, shot: Shot) -> Pixel | None:
         """Return the pixel that shows the point; None where it is hidden or outside the picture."""
-        return self.pixel if same_place(self.view, shot.view) else shot.pixel_of(self.position)
+        return self.pixel if self.view.place == shot.view.place else shot.pixel_of(self.position)
 
 
 def hovered(shot: Shot, picture: Picture, pixel: Pixel) -> str:

@@ -17,7 +17,7 @@ from typing import TypeVar
 from thermorender import Renderer, Scene
 from thermorender.apps.studio.layers import LAYERS, Learned, Plan, Shot
 from thermorender.apps.studio.pictures import MaterialColours, Picture, picture_of, quantity
-from thermorender.apps.studio.view import View, same_place
+from thermorender.apps.studio.view import View
 from thermorender.errors import ThermorenderError
 from thermorender.render.pixels.parts import PixelParts
 
@@ -451,10 +451,11 @@ class Renders:
 
     def _made(self, tab: str, seen: Seen) -> tuple[Shot, Picture]:
         light, (last, before) = self.light, self.shown(tab)
-        # The exact frame after a preview has the rays of the preview, so that they differ by their light alone.
-        again = last is not None and before is not None and before.version == light.version
-        again = again and last is not None and same_place(last.view, seen.view)
-        shot = self._shot(light.renderer, seen.view, last if again else None)
+        like = None
+        if last is not None and before is not None and before.version == light.version:
+            # The exact frame after a preview has the rays of the preview, so that they differ by their light alone.
+            like = last if last.view.place == seen.view.place else None
+        shot = self._shot(light.renderer, seen.view, like)
         what = ""
         if seen.reference is not None:
             of, what = seen.reference

@@ -14,7 +14,7 @@ from thermorender.apps.studio.layers import LAYERS, Shot, layers_of
 from thermorender.apps.studio.panels import Training, sentence_of
 from thermorender.apps.studio.pictures import NAMES, Picture, gradient
 from thermorender.apps.studio.timeline import Timeline
-from thermorender.apps.studio.view import Pose, View, hour_of, limits_of
+from thermorender.apps.studio.view import Pose, View, limits_of, parsed_hour
 from thermorender.errors import ThermorenderError
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ class Stage:
             self._against = ui.select({"": "alone"}, value="", label="Compare with")
             self._against.props('dense outlined options-dense data-testid="against"').style("width:190px")
             self._against.on_value_change(lambda e: self._compared(str(e.value or "")))
-            self._hour = ui.input("At hour", value="12", validation=lambda text: sentence_of(lambda: hour_of(text)))
+            self._hour = ui.input("At hour", value="12", validation=lambda text: sentence_of(lambda: parsed_hour(text)))
             self._hour.props('dense outlined hide-bottom-space data-testid="against-hour"').style("width:130px")
             self._hour.on("change", lambda: self._compared("hour"))
             self._as = ui.toggle({False: "Difference", True: "Split"}, value=self.view.slider)
@@ -172,7 +172,7 @@ class Stage:
     def _compared(self, against: str) -> None:
         if against == "hour":
             try:
-                against = f"hour {hour_of(self._hour.value):g}"
+                against = f"hour {parsed_hour(self._hour.value):g}"
             except ThermorenderError:
                 return  # The field says so.
         if against != self.view.against:
@@ -201,7 +201,7 @@ class Stage:
             self._pose.props('dense outlined hide-bottom-space data-testid="pose"').style("flex:1;min-width:240px")
             self._pose.on("change", self._typed_pose)
             self._pose.set_value(self.view.pose.text(self._session.base))
-            whole = ui.button(icon="home", on_click=lambda: self.turn_to(self._tab.first.pose, self._tab.first.time_s))
+            whole = ui.button(icon="home", on_click=self._home)
             whole.props('flat dense round aria-label="First view" data-testid="home"').tooltip("First view")
         self.timeline = Timeline(self._tab, self)
 
@@ -224,10 +224,11 @@ class Stage:
         self._pose.set_value(view.pose.text(self._session.base))
         self._show_ends()
         self._tools_follow()
-        self.timeline.follow(view.time_s)
         self.look()
         if remember:
             self._tab.remember(new)
+        else:
+            self.timeline.follow(view.time_s)
 
     def turn_to(self, pose: Pose, time_s: float | None = None) -> None:
         """Show another pose."""
@@ -288,6 +289,12 @@ class Stage:
         return self._picture.number if self._picture else 0
 
     # What a hand does.
+
+    def _home(self) -> None:
+        """Show the first pose again."""
+        first = self._tab.first
+        self.turn_to(first.pose, first.time_s)
+        self.timeline.follow(first.time_s)
 
     def _pose_fault(self, text: str) -> str | None:
         return sentence_of(lambda: Pose.typed(text, self._session.base))
@@ -385,7 +392,7 @@ class Stage:
             "title": picture.title, "unit": picture.unit, "notes": picture.notes, "legend": picture.legend,
             "gradient": gradient(picture.palette) if picture.ends else "", "ticks": picture.ticks(_TICKS),
             "sides": picture.sides,
-            "hint": _HINTS[self.view.plan], "place": _place(picture.view),
+            "hint": _HINTS[self.view.plan], "place": repr(picture.view and picture.view.place),
         }  # fmt: skip
         ui.run_javascript(f"studio.show({json.dumps(given)})")
 
@@ -445,8 +452,3 @@ class Stage:
 def _quantity(view: View) -> tuple[str, bool]:
     """What the ends of a view's colours are of: a layer, or its difference."""
     return view.layer, bool(view.against) and not view.slider
-
-
-def _place(view: View | None) -> str:
-    """A text that is the same for views of the same places in the same pixels."""
-    return "" if view is None else repr((view.pose, view.time_s, view.plan))

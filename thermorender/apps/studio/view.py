@@ -150,13 +150,13 @@ class View:
     # Fixed ends of the colours; None: as the picture needs
     limits: Limits | None = None
 
+    @property
+    def place(self) -> tuple[Pose, float, bool]:
+        """What is the same for views that see the same places in the same pixels."""
+        return self.pose, self.time_s, self.plan
 
-def same_place(one: View, other: View) -> bool:
-    """Return whether two views see the same places in the same pixels."""
-    return (one.pose, one.time_s, one.plan) == (other.pose, other.time_s, other.plan)
 
-
-def hour_of(text: str) -> float:
+def parsed_hour(text: str) -> float:
     """Return a solar hour, 0 to 24, from a text."""
     try:
         hour = decimal(text)
