@@ -25,7 +25,7 @@ from thermorender.scene.drape import (
     require_overlap,
 )
 from thermorender.scene.far_ground import GroundPlan
-from thermorender.scene.georeference import place_of
+from thermorender.scene.georeference import datum_heights, place_of
 from thermorender.scene.instances import read_places
 from thermorender.scene.map_view import MapView
 from thermorender.scene.meshes import mesh
@@ -102,7 +102,7 @@ def of_ground(world: World, ground: WorldGround) -> SceneFiles:
 def _world(spec: SceneSpec, where: str, library: Mapping[str, Material]) -> World:
     tiles = spec.terrain.tiles
     assert tiles is not None
-    added_m = spec.terrain.geoid_undulation_m or 0.0 if spec.terrain.height_reference == "geoid" else 0.0
+    added_m = spec.terrain.geoid_undulation_m or 0.0 if spec.terrain.height_reference == "geoid" else None
     colours = Colours(rasters_of(tiles.orthophoto)) if tiles.orthophoto else None
     crs = None if colours is None else colours.extent.crs
     classes = Classes(rasters_of(tiles.classes), crs) if tiles.classes else None
@@ -137,7 +137,7 @@ def _heights(
 ) -> tuple[NDArray[np.float64], Grid]:  # fmt: skip
     """(heights above the ellipsoid (h, w) [m], their Grid) of an elevation raster."""
     height, grid = terrain.read_elevation(path)
-    return height + (spec.terrain.geoid_undulation_m or 0.0 if reference == "geoid" else 0.0), grid
+    return height + (spec.terrain.geoid_undulation_m or 0.0 if reference == "geoid" else datum_heights(grid)), grid
 
 
 def _raster_terrain(

@@ -16,6 +16,8 @@ from thermorender.scene.raster import Grid
 _STEP_M = 100.0
 # A metre of a map that is less on Earth is outside of its projection's domain [m].
 _LEAST_M = 1e-3
+# Points along a side of the lattice on which datums are compared, and heights that do not differ [m].
+_LATTICE, _SAME_M = 9, 1e-3
 _UP = {"name": "Ellipsoidal height", "abbreviation": "h", "direction": "up", "unit": "metre"}
 
 
@@ -37,6 +39,26 @@ def geodetic_from_map(crs: Any, points: ArrayLike) -> NDArray[np.float64]:
     except Exception:  # GDAL's errors share no public base class
         raise _outside(crs, points[0]) from None
     return found
+
+
+def datum_heights(grid: Grid) -> NDArray[np.float64]:
+    """Return what heights above the ellipsoid of a grid's own datum lack to those above that of WGS 84, (h, w) [m].
+
+    They are exactly 0 for datums within a millimetre of WGS 84. A lattice of few points is interpolated: ellipsoids
+    approach each other by centimetres per kilometre.
+    """
+    from scipy.ndimage import map_coordinates
+
+    sides = [np.linspace(0.0, side, _LATTICE) for side in (grid.height, grid.width)]
+    row, column = np.meshgrid(*sides, indexing="ij")
+    x, y = grid.to_map(column.ravel(), row.ravel())
+    more = geodetic_from_map(grid.crs, np.column_stack([x, y, np.zeros(x.size)]))[:, 2].reshape(row.shape)
+    if np.abs(more).max() < _SAME_M:
+        return np.zeros((grid.height, grid.width))
+    place = np.meshgrid(
+        *((np.arange(side) + 0.5) / side * (_LATTICE - 1) for side in (grid.height, grid.width)), indexing="ij"
+    )
+    return np.asarray(map_coordinates(more, np.array(place), order=1))
 
 
 def definition(crs: Any) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
+from thermorender.scene.georeference import datum_heights
 from thermorender.scene.orthophoto import read_colour, resampled
 from thermorender.scene.raster import (
     FORMATS,
@@ -177,9 +178,12 @@ class _Files:
 
 
 class Heights(_Files):
-    """Heights above the ellipsoid; `added_m` is added to those of the files."""
+    """Heights above the ellipsoid of WGS 84.
 
-    def __init__(self, paths: Sequence[Path], added_m: float = 0.0, crs: Any = None) -> None:
+    `added_m` is added to those of the files; None: they are above the ellipsoid of their own datum.
+    """
+
+    def __init__(self, paths: Sequence[Path], added_m: float | None = None, crs: Any = None) -> None:
         super().__init__(paths, crs)
         self.added_m = added_m
 
@@ -196,7 +200,7 @@ class Heights(_Files):
             merged = np.where(weight > 0.0, total / np.maximum(weight, 1.0), np.nan)
             own = onto(merged, window, grid, "bilinear")
             np.copyto(found, own, where=np.isfinite(own))
-        found += self.added_m
+        found += datum_heights(grid) if self.added_m is None else self.added_m
         return found
 
     def digest(self) -> str:

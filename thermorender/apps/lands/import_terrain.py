@@ -39,6 +39,7 @@ from thermorender.formats import write_json, write_text
 from thermorender.materials.extended import within_band
 from thermorender.progress import Progress
 from thermorender.scene.folder import read_files
+from thermorender.scene.georeference import datum_heights
 from thermorender.scene.mapped_cover import read_mapped_cover
 from thermorender.scene.orthophoto import COLLAR, empty_border
 from thermorender.scene.raster import Bounds, Grid, bounds_in, grid_of, step_m
@@ -83,6 +84,9 @@ def import_terrain(
     day = weather_table(settings.weather, settings.time, height, height_grid)
     crs = map_crs(height_grid)
     bounds = square or bounds_in(crs, height_grid)
+    if reference == "ellipsoid" and crs != height_grid.crs:
+        # The map is of WGS 84.
+        height = height + datum_heights(height_grid)
     done(0.1)
     picture = None
     if orthophoto is not None:
@@ -102,8 +106,8 @@ def import_terrain(
     post_m, texel_m = step_m(crs, posts), step_m(crs, texels)
     solid, known, cover = None, settings.known, None
     if three_d:
-        undulation_m = (settings.geoid_undulation_m or 0.0) if reference == "geoid" else 0.0
-        solid = solid_of(three_d, height, posts, post_m, undulation_m, known, picture, settings.material,
+        above_m = (settings.geoid_undulation_m or 0.0) if reference == "geoid" else datum_heights(posts)
+        solid = solid_of(three_d, height, posts, post_m, above_m, known, picture, settings.material,
                          height_grid.crs, cloud)  # fmt: skip
         notes, cover = (*notes, *solid.notes), solid.cover
         known = known if cover is not None and cover.cases else None

@@ -26,11 +26,12 @@ from thermorender.scene.terrain import doubtful_zeros, filled, read_elevation, z
 
 
 def solid_of(
-    three_d: ThreeD, height: NDArray[np.float64], grid: Grid, post_m: float, undulation_m: float, known: Path | None,
+    three_d: ThreeD, height: NDArray[np.float64], grid: Grid, post_m: float, above_m: float | NDArray[np.float64],
+    known: Path | None,
     picture: tuple[NDArray[np.uint8], NDArray[np.bool_], Grid] | None, material: str, crs: Any,
     cloud: Cloud | None = None,
 ) -> CityModel:  # fmt: skip
-    """Return the CityModel world of heights above the geoid or ellipsoid; `undulation_m` lies between [m].
+    """Return the CityModel world of heights above a zero that is `above_m` above the ellipsoid of WGS 84 [m].
 
     `crs` is that of the heights' file. The ground and the buildings of a cloud's classes are used where no file
     states them.
@@ -43,9 +44,9 @@ def solid_of(
     notes: tuple[str, ...] = ()
     if three_d.ground is not None:
         bare, notes = _terrain_model(three_d.ground, height, grid, post_m, crs)
-        bare = bare + undulation_m
+        bare = bare + above_m
     elif cloud is not None and cloud.ground is not None:
-        bare = onto(cloud.ground, cloud.grid, grid, "average") + undulation_m
+        bare = onto(cloud.ground, cloud.grid, grid, "average") + above_m
     outlines, cover = None, None
     if known is not None:
         found, stated = _outlines(known, three_d.building_class, grid, picture is not None)
@@ -58,7 +59,7 @@ def solid_of(
         # A few stray points are no statement on the others.
         outlines = detection.outlines_of(detection.large(house, post_m)) or None
     walls, colour = Walls(wall, wall_by_kind), library[material].colour
-    solid = city_model(height + undulation_m, grid, post_m, bare, outlines, picture, colour, walls, library)
+    solid = city_model(height + above_m, grid, post_m, bare, outlines, picture, colour, walls, library)
     return replace(solid, notes=notes + solid.notes, cover=cover)
 
 
