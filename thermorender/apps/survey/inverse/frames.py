@@ -52,6 +52,10 @@ class Place:
         As in the file; empty if unknown.
     lens : Lens or None
         That the file of poses states with them.
+    takeoff_m : float or None
+        Height of the take-off above the ellipsoid, or what the frame states as such [m].
+    error_m : float or None
+        Standard deviation of the position along an axis, where the frame states one [m].
     """
 
     horizontal: tuple[float, float]
@@ -61,6 +65,8 @@ class Place:
     rotation: Rotation
     time: str = ""
     lens: Lens | None = None
+    takeoff_m: float | None = None
+    error_m: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -412,7 +418,19 @@ def tagged_place(path: Path) -> Place:
             "poses in a file"
         )
     numbers = [_number(path, name, value) for name, value in zip(("yaw", "pitch", "roll"), angles, strict=True)]
-    return Place(where, True, height, kind, camera_rotation(*numbers), _time(tags, exif))
+    takeoff_m = None
+    if kind == "above_takeoff_m" and "AbsoluteAltitude" in stated:
+        takeoff_m = _number(path, "AbsoluteAltitude", stated["AbsoluteAltitude"]) - height
+    return Place(where, True, height, kind, camera_rotation(*numbers), _time(tags, exif), takeoff_m=takeoff_m,
+                 error_m=_position_error(path, stated))  # fmt: skip
+
+
+def _position_error(path: Path, stated: Mapping[str, str]) -> float | None:
+    """Standard deviation of a position [m] by RTK with fixed ambiguities, RtkFlag 50; None if the tags state none."""
+    names = "RtkStdLon", "RtkStdLat", "RtkStdHgt"
+    if stated.get("RtkFlag", "").strip() != "50" or not all(name in stated for name in names):
+        return None
+    return max(_number(path, name, stated[name]) for name in names)
 
 
 def tagged_time(path: Path) -> str:

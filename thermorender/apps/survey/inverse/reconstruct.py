@@ -174,10 +174,11 @@ def _window(renderer: "Renderer", camera: Camera, poses: Floats, settings: Setti
     """As `window_of`."""
     whole = Lattice.of(renderer.scene, settings.texel_m)
     error = settings.pose_error
-    coarse = binned_camera(camera, max(1, camera.width // 80))
+    factor = max(1, camera.width // 80)
+    viewer = Viewer(renderer, binned_camera(camera, factor), Lattice.of(renderer.scene, factor * settings.texel_m))
     height = float(np.median(poses[:, 2, 3])) - float(np.median(renderer.scene.surfaces[0].vertices[:, 2]))
     margin = _REACH * (error.position_m + np.radians(error.angle_deg) * max(height, 0.0)) + 4.0 * settings.texel_m
-    return window_of(whole, Viewer(renderer, coarse, whole), list(poses), margin)
+    return window_of(whole, viewer, list(poses), margin)
 
 
 def _prior(light: Light, settings: Settings) -> Prior:

@@ -301,7 +301,10 @@ def binned_camera(camera: Camera, factor: int) -> Camera:
 
 
 def window_of(lattice: Lattice, viewer: Viewer, poses: Sequence[Floats], margin_m: float) -> tuple[Lattice, list[int]]:
-    """Return (the part of a lattice that frames show, with a margin [m]; numbers of the frames that show nothing)."""
+    """Return (the part of a lattice that frames show, with a margin [m]; numbers of the frames that show nothing).
+
+    The viewer may have a coarser lattice of the same terrain.
+    """
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     blind = []
     for number, pose in enumerate(poses):
@@ -317,9 +320,10 @@ def window_of(lattice: Lattice, viewer: Viewer, poses: Sequence[Floats], margin_
             "−90 looks down, latitude comes before longitude), and give texels of at least a quarter of a pixel on the "
             "ground and at most a twentieth of the terrain's side"
         )
-    margin = margin_m / lattice.texel_m + 2.0
-    top, left = np.floor(low - margin).astype(int)
-    bottom, right = np.ceil(high + margin).astype(int) + 1
+    margin, larger = margin_m / lattice.texel_m + 2.0, viewer.lattice.scene_texels / lattice.scene_texels
+    # Positions count from the middle of the first texel, and edges from its corner.
+    top, left = np.floor((low - 0.5) * larger - margin).astype(int)
+    bottom, right = np.ceil((high + 1.5) * larger + margin).astype(int)
     return lattice.cut(int(top), int(left), int(bottom), int(right)), blind
 
 

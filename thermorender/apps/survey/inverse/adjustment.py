@@ -1,0 +1,370 @@
+"""Bundle adjustment of frames: poses, lens and heights of the ground together, from matches between the frames.
+
+Brown's k1 and k2, focal length and principal point belong to all frames. Each node of the matches has its own height
+about the ground, which is eliminated from the equations: distortion moves with the image, relief stays on the ground,
+so both are told apart. Source: Triggs, McLauchlan, Hartley and Fitzgibbon, Bundle adjustment — a modern synthesis,
+2000, doi:10.1007/3-540-44480-7_21.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from scipy.spatial.transform import Rotation
+
+from thermorender import Camera
+from thermorender.apps.survey.inverse.matches import Ground, Matches, View, detailed, matched
+from thermorender.apps.survey.inverse.poses import PoseError
+from thermorender.errors import ThermorenderError
+
+Floats = NDArray[np.float64]
+Progress = Callable[[str, float], object]
+# Standard deviations of a nominal lens: focal length [share], principal point [share of the width], k1, k2.
+_FOCAL, _POINT, _DISTORTION = 0.05, 0.02, (0.5, 0.5)
+# Standard deviation of the place of a match before the residuals tell it [px].
+_MATCH_PX = 0.3
+# Residuals beyond so many standard deviations lose weight; so do stated positions and angles.
+_OUTLIER, _MISSTATED = 3.0, 3.0
+# Most steps of a solution, and change in standard deviations at which it ends.
+_STEPS, _SETTLED = 25, 0.1
+# Distance over which slopes are taken [m], and steps of the lens: pixels, then k1 and k2.
+_SPAN_M, _LENS_STEPS = 0.2, np.array([0.1, 0.1, 0.1, 1e-4, 1e-4])
+# Reach of the first search and of the later ones [cells], and standard deviations of the poses that the first covers.
+_WIDE, _NARROW, _SIGMAS = 14, 6, 4.0
+# Fewer matches than this per frame do not hold its pose.
+_LEAST_MATCHES = 8
+# Posts with a smaller share of a node's weight take those of a wider circle.
+_NEAR = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """Frames after a bundle adjustment.
+
+    Attributes
+    ----------
+    camera : Camera
+        With the lens that fits the frames.
+    lens_std : (5,) float64
+        Standard deviations of focal length [px], principal point [px] right and down, k1 and k2; zeros for a lens that
+        is kept.
+    poses : (F, 4, 4) float64
+    pose_std : (2,) float64
+        Of position [m] and angle [rad], each along an axis, in the median over frames and against the stated poses.
+    residual_px : float
+        Standard deviation of a match along an axis, robust.
+    ground : callable
+        The ground that the nodes stand on: that which was assumed, or the relief of the matches before the last.
+    nodes : (K, 2) float64
+        East and north of points of the ground [m].
+    heights, height_std : (K,) float64
+        Their heights above `ground`, and standard deviations [m].
+    held : (F,) bool
+        Frames with enough matches.
+    """
+
+    camera: Camera
+    lens_std: Floats
+    poses: Floats
+    pose_std: Floats
+    residual_px: float
+    ground: Ground
+    nodes: Floats
+    heights: Floats
+    height_std: Floats
+    held: NDArray[np.bool_]
+
+
+def adjusted(
+    kelvin: NDArray[np.float32], camera: Camera, poses: Floats, error: PoseError, ground: Ground, height_m: float,
+    fit_lens: bool = True, fit_ground: bool = False, progress: Progress | None = None,
+) -> Adjusted:  # fmt: skip
+    """Return the Adjusted of frames.
+
+    Parameters
+    ----------
+    kelvin : (F, H, W) float32
+    camera : Camera
+        Nominal, or with its own lens where `fit_lens` is False.
+    poses : (F, 4, 4) float64
+        As measured.
+    error : PoseError
+        Of the measured poses.
+    ground : callable
+        Heights of the ground that is assumed, NaN beyond it.
+    height_m : float
+        Standard deviation of the ground about it [m].
+    fit_lens, fit_ground : bool
+        Whether the lens, and the ground between the nodes, follow the matches.
+
+    Raises
+    ------
+    ThermorenderError
+        Too few matches, or a lens that folds the image.
+    """
+    images = detailed(kelvin)
+    view = View(camera, poses, ground)
+    finest = view.cell_m()
+    above = poses[:, 2, 3] - ground(poses[:, 0, 3], poses[:, 1, 3])
+    height = float(np.nanmedian(above)) if np.isfinite(above).any() else finest * camera.focal_length_px
+    away = _SIGMAS * np.hypot(error.position_m, np.radians(error.angle_deg) * height)
+    levels = max(int(np.ceil(np.log2(max(away / (_WIDE * finest), 1.0)))), 1)
+    found: Adjusted | None = None
+    for level in range(levels, -2, -1):
+        # The finest twice: its matches depend on the lens a little.
+        cell, reach = finest * 2.0 ** max(level, 0), _WIDE if level == levels else _NARROW
+        share = (levels - level) / (levels + 2)
+        matches = matched(images, view, cell, reach, _scaled(progress, share, 1.0 / (levels + 2)))
+        found = _solved(matches, view, camera, poses, error, height_m, fit_lens)
+        if fit_ground and level >= 0:
+            ground = Relief.of(found)
+        view = View(found.camera, found.poses, ground)
+    assert found is not None
+    return found
+
+
+def _scaled(progress: Progress | None, start: float, share: float) -> Progress | None:
+    if progress is None:
+        return None
+    report = progress
+    return lambda what, done: report(what, start + share * done)
+
+
+class _Equations:
+    """The linearised problem of one set of matches: what moves a residual, and the weights."""
+
+    def __init__(self, matches: Matches, frames: int, lens: bool) -> None:
+        self.matches, self.frames, self.lens = matches, frames, lens
+        first, second, node = matches.first, matches.second, matches.node
+        seen = np.zeros((len(matches.nodes), frames), bool)
+        seen[node, first] = seen[node, second] = True
+        number = np.bincount(node, minlength=len(seen))
+        # A node in n frames has n(n−1)/2 matches of which n−1 are independent.
+        self.share = ((seen.sum(axis=1) - 1) / np.maximum(number, 1))[node]
+        poses = [6 * each[:, None] + np.arange(6) for each in (first, second)]
+        common = np.broadcast_to(6 * frames + np.arange(5), (len(first), 5))
+        # The parameters (N, 12 or 17) that each match depends on.
+        self.at = np.concatenate([*poses, common] if lens else poses, axis=1)
+        self.size = 6 * frames + (5 if lens else 0)
+
+    def linearised(self, view: View) -> tuple[Floats, Floats, Floats]:
+        """Return (misses (N, 2) [px], their changes with the parameters (N, 2, 12 or 17), with the height (N, 2)).
+
+        A miss is where the second frame should show a node minus where it does.
+        """
+        matches, ground = self.matches, view.ground
+        point, way = view.cast(matches.first, matches.first_px)
+        there = view.in_frame(matches.second, point)
+        # The plane of the ground at each point, by its normal with an upward part of 1.
+        east, north = (point[:, axis] for axis in (0, 1))
+        slope = [(ground(east + a, north + b) - ground(east - a, north - b)) / _SPAN_M
+                 for a, b in ((0.5 * _SPAN_M, 0.0), (0.0, 0.5 * _SPAN_M))]  # fmt: skip
+        normal = np.nan_to_num(np.stack([-slope[0], -slope[1], np.ones(len(point))], axis=1))
+        facing = np.einsum("ni,ni->n", normal, way)
+        # Changes of the point on that plane with a motion of its ray's start or end.
+        free = np.eye(3) - way[:, :, None] * normal[:, None, :] / facing[:, None, None]
+        depth = np.einsum("ni,ni->n", normal, point - view.poses[matches.first, :3, 3]) / facing
+        by_point = np.stack([
+            (view.in_frame(matches.second, point + step) - view.in_frame(matches.second, point - step)) / _SPAN_M
+            for step in 0.5 * _SPAN_M * np.eye(3)
+        ], axis=2)  # fmt: skip
+        moves = by_point @ free
+        arm = point - view.poses[matches.second, :3, 3]
+        parts = [moves, -moves @ _crossed(depth[:, None] * way), -by_point, by_point @ _crossed(arm)]
+        if self.lens:
+            parts.append(np.stack([
+                (_there(replace(view, camera=with_lens(view.camera, change)), matches) - there) / step
+                for step, change in zip(_LENS_STEPS, np.diag(_LENS_STEPS), strict=True)
+            ], axis=2))  # fmt: skip
+        # A higher ground is met earlier on the ray.
+        lift = by_point @ (way / facing[:, None])[:, :, None]
+        return there - matches.second_px, np.concatenate(parts, axis=2), lift[:, :, 0]
+
+    def jacobian(self, slope: Floats) -> csr_matrix:
+        """Return the changes (N, 2, 12 or 17) as a sparse matrix, (2 N, parameters)."""
+        width = self.at.shape[1]
+        columns = np.repeat(self.at, 2, axis=0).ravel()
+        ends = np.arange(0, columns.size + 1, width)
+        return csr_matrix((slope.ravel(), columns, ends), shape=(len(ends) - 1, self.size))
+
+
+def _there(view: View, matches: Matches) -> Floats:
+    """Where second frames show the points of first ones, (N, 2) [px]."""
+    return view.in_frame(matches.second, view.on_ground(matches.first, matches.first_px))
+
+
+def _crossed(vector: Floats) -> Floats:
+    """The matrices (N, 3, 3) of the cross products v × …."""
+    x, y, z = vector.T
+    none = np.zeros_like(x)
+    return np.stack([none, -z, y, z, none, -x, -y, x, none], axis=1).reshape(-1, 3, 3)
+
+
+def with_lens(camera: Camera, change: Floats) -> Camera:
+    """Return a Camera with focal length [px], principal point [px], k1 and k2 changed by (5,)."""
+    k1, k2, p1, p2, k3 = camera.distortion
+    x, y = camera.principal_offset_px
+    focal = (camera.focal_length_px + change[0]) * camera.pixel_pitch_um * 1e-3
+    return replace(
+        camera, focal_length_mm=float(focal), principal_offset_px=(float(x + change[1]), float(y + change[2])),
+        distortion=(float(k1 + change[3]), float(k2 + change[4]), p1, p2, k3),
+    )  # fmt: skip
+
+
+def lens_of(camera: Camera) -> Floats:
+    """Return focal length [px], principal point [px], k1 and k2 of a Camera, (5,)."""
+    return np.array([camera.focal_length_px, *camera.principal_offset_px, *camera.distortion[:2]])
+
+
+def _solved(
+    matches: Matches, view: View, nominal: Camera, measured: Floats, error: PoseError, height_m: float, fit_lens: bool
+) -> Adjusted:  # fmt: skip
+    """Gauss–Newton steps from a View to the Adjusted of its matches."""
+    frames = len(measured)
+    number = np.bincount(np.concatenate([matches.first, matches.second]), minlength=frames)
+    view, covariance, residual, heights, height_std = _settled(
+        matches, view, nominal, measured, error, height_m, fit_lens
+    )
+    parameters = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
+    own = parameters[: 6 * frames].reshape(frames, 6)
+    pose_std = np.array([np.median(own[:, :3]), np.median(own[:, 3:])])
+    return Adjusted(
+        view.camera, parameters[6 * frames :] if fit_lens else np.zeros(5), view.poses, pose_std, residual,
+        view.ground, matches.nodes, heights, height_std, number >= _LEAST_MATCHES,
+    )  # fmt: skip
+
+
+def _settled(
+    matches: Matches, view: View, nominal: Camera, measured: Floats, error: PoseError, height_m: float, fit_lens: bool
+) -> tuple[View, Floats, float, Floats, Floats]:  # fmt: skip
+    """(View, covariance of the parameters, standard deviation of a match [px], heights (K,), their σ (K,))."""
+    frames, size = len(measured), len(matches.nodes)
+    equations, node = _Equations(matches, frames, fit_lens), matches.node
+    own_poses = slice(6 * frames)
+    lens_precision = 1.0 / np.array([
+        _FOCAL * nominal.focal_length_px, _POINT * nominal.width, _POINT * nominal.width, *_DISTORTION,
+    ]) ** 2  # fmt: skip
+    heights, sigma = np.zeros(size), _MATCH_PX
+    floor = np.maximum(error.precision, 1e-12)
+    for number in range(_STEPS):
+        miss, slope, lift = equations.linearised(view)
+        known = np.isfinite(miss).all(axis=1) & np.isfinite(slope).all(axis=(1, 2)) & np.isfinite(lift).all(axis=1)
+        miss, slope, lift = (np.where(known.reshape(-1, *(1,) * (each.ndim - 1)), each, 0.0)
+                             for each in (miss, slope, lift))  # fmt: skip
+        rest = miss + heights[node, None] * lift
+        away = np.linalg.norm(rest, axis=1)
+        # The median of a Rayleigh distribution.
+        sigma = max(float(np.median(away[known])) / 1.1774, 1e-3) if known.any() else _MATCH_PX
+        weight = known * equations.share / (1.0 + (away / (_OUTLIER * sigma)) ** 2) / sigma**2
+        own = np.bincount(node, weight * (lift**2).sum(axis=1), size) + 1.0 / height_m**2
+        pull_height = -np.bincount(node, weight * (lift * rest).sum(axis=1), size) - heights / height_m**2
+        if number == 0:
+            # Relief alone first: poses would otherwise follow it.
+            heights = heights + pull_height / own
+            continue
+        jacobian = equations.jacobian(slope)
+        weighted = jacobian.multiply(np.repeat(weight, 2)[:, None]).tocsr()
+        lifts = csr_matrix((lift.ravel(), np.repeat(node, 2), np.arange(2 * len(node) + 1)), (2 * len(node), size))
+        matrix, cross = (weighted.T @ jacobian).toarray(), (weighted.T @ lifts).tocsr()
+        pull = -(weighted.T @ rest.ravel())
+        step = deviations(view.poses, measured)
+        prior = _prior(step, floor)
+        matrix[np.diag_indices(6 * frames)] += prior.ravel()
+        pull[own_poses] -= (prior * step).ravel()
+        if fit_lens:
+            here = range(6 * frames, equations.size)
+            matrix[here, here] += lens_precision
+            pull[6 * frames :] -= lens_precision * (lens_of(view.camera) - lens_of(nominal))
+        taken = cross.multiply(1.0 / own[None, :]).tocsr()
+        reduced = matrix - (taken @ cross.T).toarray()
+        change = np.linalg.solve(reduced, pull - taken @ pull_height)
+        heights = heights + (pull_height - cross.T @ change) / own
+        poses = moved_all(view.poses, change[own_poses].reshape(-1, 6))
+        camera = with_lens(view.camera, change[6 * frames :]) if fit_lens else view.camera
+        view = View(camera, poses, view.ground)
+        if np.sqrt(np.mean(change**2 * reduced.diagonal())) < _SETTLED:
+            break
+    covariance = np.linalg.inv(reduced)
+    spread = 1.0 / own + np.asarray(taken.multiply((covariance @ taken.toarray())).sum(axis=0)).ravel()
+    seen = np.bincount(node, weight > 0.0, size) > 0
+    return view, covariance, sigma, np.where(seen, heights, np.nan), np.sqrt(spread)
+
+
+def moved_all(poses: Floats, steps: Floats) -> Floats:
+    """Return poses (F, 4, 4) after steps (F, 6), each as of `moved`."""
+    found = poses.copy()
+    found[:, :3, 3] += steps[:, :3]
+    found[:, :3, :3] = Rotation.from_rotvec(steps[:, 3:]).as_matrix() @ poses[:, :3, :3]
+    return found
+
+
+def deviations(poses: Floats, measured: Floats) -> Floats:
+    """Return the steps (F, 6) from measured poses to others, each as of `deviation`."""
+    turn = Rotation.from_matrix(poses[:, :3, :3] @ measured[:, :3, :3].transpose(0, 2, 1)).as_rotvec()
+    return np.concatenate([poses[:, :3, 3] - measured[:, :3, 3], turn], axis=1)
+
+
+def _prior(step: Floats, precision: Floats) -> Floats:
+    """Precisions of measured poses, (F, 6): less where a pose deviates by far more than it states."""
+    found = np.broadcast_to(precision, step.shape).copy()
+    for part in (slice(0, 3), slice(3, 6)):
+        away = (step[:, part] ** 2 * precision[part]).sum(axis=1) / 3.0
+        found[:, part] /= (1.0 + away / _MISSTATED**2)[:, None]
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Relief:
+    """Heights on posts, bilinear between them and constant beyond; callable as a ground."""
+
+    west: float  # East of the first post [m]
+    south: float  # North of the first post [m]
+    step_m: float
+    up: Floats  # (rows northwards, columns eastwards) float64 [m]
+
+    @classmethod
+    def of(cls, found: Adjusted) -> "Relief":
+        """Return the ground of an Adjusted with the weighted means of the nodes' heights around each post."""
+        from scipy.ndimage import gaussian_filter
+
+        known = np.isfinite(found.heights)
+        nodes, heights, std = (each[known] for each in (found.nodes, found.heights, found.height_std))
+        low, high = nodes.min(axis=0), nodes.max(axis=0)
+        # Nodes are on a grid.
+        step_m = float(np.median(np.diff(np.unique(found.nodes[:, 0]))))
+        shape = tuple(np.ceil((high - low) / step_m).astype(int) + 1)[::-1]
+        column, row = np.rint((nodes - low) / step_m).astype(int).T
+        weight, total = np.zeros(shape), np.zeros(shape)
+        np.add.at(weight, (row, column), 1.0 / std**2)
+        np.add.at(total, (row, column), heights / std**2)
+        mean, width = np.zeros(shape), 0.7
+        filled = np.zeros(shape, bool)
+        # Around each post as near as there are nodes.
+        while not filled.all():
+            near, sums = gaussian_filter(weight, width), gaussian_filter(total, width)
+            new = ~filled & (near > _NEAR * weight[weight > 0.0].min())
+            mean[new] = sums[new] / near[new]
+            filled |= new
+            width *= 2.0
+        east, north = np.meshgrid(low[0] + step_m * np.arange(shape[1]), low[1] + step_m * np.arange(shape[0]))
+        base = found.ground(east.ravel(), north.ravel()).reshape(shape)
+        return cls(float(low[0]), float(low[1]), step_m, base + mean)
+
+    @classmethod
+    def sampled(cls, ground: Ground, low: Floats, high: Floats, step_m: float) -> "Relief":
+        """Return a ground on posts from `low` to `high` (2,), east and north [m], which is quicker to ask."""
+        columns, rows = np.ceil((high - low) / step_m).astype(int) + 1
+        east, north = np.meshgrid(low[0] + step_m * np.arange(columns), low[1] + step_m * np.arange(rows))
+        up = np.asarray(ground(east.ravel(), north.ravel()), np.float64)
+        return cls(float(low[0]), float(low[1]), step_m, up.reshape(rows, columns))
+
+    def __call__(self, east: Floats, north: Floats) -> Floats:
+        """Return the heights (N,) at east and north (N,)."""
+        from scipy.ndimage import map_coordinates
+
+        place = np.stack([(north - self.south) / self.step_m, (east - self.west) / self.step_m])
+        inside = np.isfinite(place).all(axis=0)
+        found = map_coordinates(self.up, np.where(inside, place, 0.0), order=1, mode="nearest")
+        return np.where(inside, found, np.nan)
