@@ -16,7 +16,7 @@ from support import write_dji_jpeg
 
 import thermorender as tr
 from tests.robustness.fuzz.corpus import READERS
-from tests.robustness.fuzz.corpus.images import flir_container, jpeg_ls
+from tests.robustness.fuzz.corpus.images import flir_container, flir_jpeg, jpeg_ls
 from thermorender.apps.survey.footage.calibration import footage, images_of
 from thermorender.apps.survey.inverse.frames import frame_files, read_frames
 from thermorender.apps.survey.inverse.pose_files import read_poses
@@ -69,6 +69,14 @@ def test_the_content_decides_the_kind_and_not_the_suffix(tmp_path, kind, found, 
 def test_dji_is_told_from_flir_by_its_segments(tmp_path):
     (frame,) = thermal_frames([write_dji_jpeg(tmp_path / "a.jpg")])
     assert frame.kind == "DJI" and is_radiometric(frame.path)
+    # Other makers have such segments too.
+    frame.path.write_bytes(frame.path.read_bytes().replace(b"DJI", b"ABC"))
+    assert not is_radiometric(frame.path)
+
+
+def test_a_file_that_begins_as_one_of_infiray_by_chance_is_none(tmp_path):
+    (tmp_path / "a.bin").write_bytes(b"\xca\xac\x80\0" + bytes(300))
+    assert not is_radiometric(tmp_path / "a.bin")
 
 
 @pytest.mark.parametrize(("name", "words"), [
@@ -168,6 +176,27 @@ def test_the_caller_says_what_flirs_settings_correct(tmp_path, kind):
         np.testing.assert_array_equal(image.kelvin, found.temperature(settings))
     with pytest.raises(ThermorenderError, match="contains its calibration; leave out the scale"):
         next(thermal_images([frame], scale=(0.04, 0.0)))
+
+
+def test_shares_beyond_the_colour_scale_are_those_of_the_raw_values(tmp_path):
+    data = bytearray(flir_container(raw()))
+    # The middle and the width of the scale in the camera's block, the last record.
+    struct.pack_into(">H", data, len(data) - 0x340 + 0x338, 15400)
+    struct.pack_into(">i", data, len(data) - 0x340 + 0x33C, 600)
+    (tmp_path / "a.jpg").write_bytes(flir_jpeg(bytes(data)))
+    expected = 100.0 * (raw() < 15100).mean(), 100.0 * (raw() > 15700).mean()
+    assert read_thermal_image(tmp_path / "a.jpg").saturated == pytest.approx(expected)
+
+
+def test_training_pictures_are_read_before_any_correction(tmp_path):
+    (tmp_path / "a.jpg").write_bytes(flir_jpeg(flir_container(raw() - np.uint16(12000))))
+    found, alone = (
+        pictures.read_thermal(tmp_path / "a.jpg"),
+        read_thermal_image(tmp_path / "a.jpg", correction="nothing"),
+    )
+    assert np.abs(found.values * 0.01 - alone.kelvin).max() < 0.0051
+    # The corrections of the file move it by more.
+    assert np.abs(read_thermal_image(tmp_path / "a.jpg").kelvin - alone.kelvin).min() > 0.01
 
 
 def test_what_was_removed_from_a_tiff_is_unknown(tmp_path):

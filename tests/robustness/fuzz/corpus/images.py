@@ -140,9 +140,14 @@ def _raw(seed):
     return np.random.default_rng(seed).integers(15000, 16000, (8, 12)).astype(np.uint16)
 
 
+def flir_jpeg(container):
+    """The bytes of a radiometric JPEG with a container of FLIR, without a picture."""
+    segment = b"FLIR\0\x01\0\0" + container
+    return b"\xff\xd8\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + b"\xff\xd9"
+
+
 def _write_flir(path):
-    segment = b"FLIR\0\x01\0\0" + flir_container(_raw(0))
-    path.write_bytes(b"\xff\xd8\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + b"\xff\xd9")
+    path.write_bytes(flir_jpeg(flir_container(_raw(0))))
 
 
 @reader("FLIR JPEG", "picture.jpg", _write_flir)
