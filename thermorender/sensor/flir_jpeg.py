@@ -198,7 +198,9 @@ def _picture(data: bytes, size: tuple[int, int], kind: str) -> NDArray[np.uint16
                     raise Damaged(f"the {kind} inside is {image.size[0]}×{image.size[1]} {image.mode}")
                 refuse_overstated(image, len(data))
                 return np.asarray(image).astype(np.uint16)
-    except (OSError, SyntaxError, ValueError, RuntimeError, Warning, struct.error) as error:
+    except (
+        OSError, SyntaxError, ValueError, RuntimeError, Warning, struct.error, Image.DecompressionBombError
+    ) as error:  # fmt: skip
         raise Damaged(f"the {kind} inside cannot be read: {error}") from None
 
 
