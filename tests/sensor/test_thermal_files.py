@@ -6,6 +6,7 @@ The readers were compared with other decoders and the published formula: `docs/r
 import shutil
 import struct
 import sys
+import tracemalloc
 from dataclasses import replace
 
 import infiray_irg
@@ -300,3 +301,21 @@ def test_frames_of_a_sequence_have_poses_by_their_names_and_keep_their_air_remov
     assert any("files of FLIR correct the air by their own settings (distance 10 m" in note for note in survey.notes)
     with pytest.raises(ThermorenderError, match=r"walk\.seq .*give the poses in a file"):
         read_frames([tmp_path / "walk.seq"], None, scene)
+
+
+def test_frames_of_a_survey_are_held_once(tmp_path):
+    rng = np.random.default_rng(0)
+    values = (rng.integers(3000, 4000, (160, 200)).astype(np.uint16) for _ in range(60))
+    (tmp_path / "walk.seq").write_bytes(b"".join(map(flir_container, values)))
+    rows = (f"walk_{k + 1:06d},{k},0,40,0,-90,0\n" for k in range(60))
+    (tmp_path / "p.csv").write_text(POSES + "".join(rows))
+    scene = tr.load_scene("heath/survey")
+    places = read_poses(tmp_path / "p.csv", scene)
+    # What a scene and its poses hold is made first.
+    read_frames([tmp_path / "walk.seq"], {"walk_000001": places["walk_000001"]}, scene)
+    tracemalloc.start()
+    survey = read_frames([tmp_path / "walk.seq"], places, scene)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    # One frame in doubles, and what computes it, is a tenth of all in single precision.
+    assert survey.kelvin.nbytes < most < 1.5 * survey.kelvin.nbytes
