@@ -132,7 +132,8 @@ def test_frames_in_jpeg_ls_are_those_of_plain_values_and_the_last_may_state_four
      (lambda: flir_container(raw(), jpeg_ls(raw()[:9])), "frame 1: the JPEG-LS inside is 32×9"),
      (lambda: flir_container(raw(), jpeg_ls(raw())[:-200]), "frame 1: the JPEG-LS inside cannot be read"),
      # The size in its header is 60000×60000.
-     (lambda: flir_container(raw(), jpeg_ls(raw())[:7] + 2 * b"\xea\x60" + jpeg_ls(raw())[11:]), "frame 1: .* Image size"),
+     (lambda: flir_container(raw(), b"".join((jpeg_ls(raw())[:7], 2 * b"\xea\x60", jpeg_ls(raw())[11:]))),
+      "frame 1: .* Image size"),
      (flir_container(raw(), overstated=1 << 31), "frame 1: it states 2147")],
 )  # fmt: skip
 def test_a_sequence_that_is_not_whole_names_its_frame(tmp_path, data, words):
