@@ -6,7 +6,7 @@ from pathlib import Path
 from thermorender.apps.lands.solids.clouds import SUFFIXES as CLOUDS
 from thermorender.apps.training.translate import VIDEOS
 from thermorender.scene.meshes.mesh import FORMATS
-from thermorender.sensor.radiometric_files import SUFFIXES
+from thermorender.sensor.thermal_files import SUFFIXES
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "reference" / "file-formats.md").read_text(encoding="utf-8")

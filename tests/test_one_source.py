@@ -114,7 +114,8 @@ def test_the_schema_imports_only_the_ground_modules():
 def test_every_extra_has_an_importer():
     """Names of distributions and modules differ; these are the ones in use."""
     modules = {"scikit-learn": "sklearn", "opencv-python-headless": "cv2", "colour-science": "colour", "pillow": "PIL",
-               "imageio-ffmpeg": "imageio_ffmpeg", "pytest-xdist": "xdist",
+               "imageio-ffmpeg": "imageio_ffmpeg", "pytest-xdist": "xdist", "pillow-jpls": "pillow_jpls",
+               "infiray-irg": "infiray_irg",
                "mcap-ros2-support": "mcap_ros2", "axe-playwright-python": "axe_playwright_python"}  # fmt: skip
     # Read by trimesh; makes the keys of Dask; asked only where its source is; builds the wheel; a plugin of pytest;
     # imported by name; imported by examples/closed_loop.

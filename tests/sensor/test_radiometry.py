@@ -24,6 +24,7 @@ from thermorender.sensor.radiometry import (
     thermography_temperature,
     water_vapour,
 )
+from thermorender.sensor.thermal_files import read_thermal_image
 
 CAMERA = load_camera("zenmuse-xt2")
 # A FLIR SC660, the default of many programs, and a DJI Zenmuse XT.
@@ -163,7 +164,7 @@ def test_a_missing_scale_is_refused(tmp_path):
         ("e.npy", "unknown kind"),
     ):
         with pytest.raises(ThermorenderError, match=words):
-            read_temperature(tmp_path / name, (0.04, 0.0))
+            read_thermal_image(tmp_path / name, (0.04, 0.0))
 
 
 def test_a_margin_of_zeros_in_degrees_celsius_is_no_data(tmp_path):
@@ -275,11 +276,11 @@ def test_printed_spot_and_mean():
     # "Punkt 21.1 °C" and "19.0 °F" at the middle, "Avg. 28.1" in a box whose corners are drawn at these pixels.
     folder = "pairs/flir_rjpeg_samples/"
     for name, printed in (("10 - IR_Fussbodenheizung.jpg", 21.1), ("05 - Aqua_Tower_thermal_image.jpg", -13.0 / 1.8)):
-        celsius = read_temperature(shared_data(folder + name)) - 273.15
+        celsius = read_thermal_image(shared_data(folder + name)).kelvin - 273.15
         rows, columns = (slice(n // 2 - 1, n // 2 + 1) for n in celsius.shape)
         assert np.abs(celsius[rows, columns] - printed).min() < 0.05
         assert np.abs(celsius[rows, columns] - printed).max() < 0.6
-    celsius = read_temperature(shared_data(folder + "IR_2412.jpg")) - 273.15
+    celsius = read_thermal_image(shared_data(folder + "IR_2412.jpg")).kelvin - 273.15
     assert celsius[158:321, 211:427].mean() == pytest.approx(28.1, abs=0.05)
 
 
@@ -307,7 +308,7 @@ def test_temperatures_against_another_package(name):
 
     path = shared_data(f"pairs/flirone_trees/{name}_thermal_degC_eps1.tif")
     source = shared_data(f"pairs/flir_rjpeg_samples/{name}.JPG")
-    ours = read_temperature(source, thermography=ThermographySettings()) - 273.15
+    ours = read_thermal_image(source, correction="nothing").kelvin - 273.15
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         with rasterio.open(path) as file:
@@ -363,7 +364,7 @@ def test_a_file_written_by_hand(order, pieces, compressed, tmp_path):
     assert picture.thermography.emissivity == pytest.approx(0.9)
     assert picture.thermography.air_c == pytest.approx(10.0, abs=1e-4)
     np.testing.assert_allclose(picture.temperature(ThermographySettings()), SC660.temperature(raw), atol=1e-3)
-    np.testing.assert_array_equal(read_temperature(tmp_path / "a.jpg"), picture.temperature())
+    np.testing.assert_array_equal(read_thermal_image(tmp_path / "a.jpg").kelvin, picture.temperature())
     assert replace(picture.thermography, emissivity=1.0) != picture.thermography
 
 
@@ -422,7 +423,7 @@ def test_every_kind_of_camera_in_the_samples_is_read():
     files.append(shared_data("pairs/thermal_only/eth_crops_xt/flight1/rjpeg/DJI_0003.jpg"))
     assert len(files) == 14
     for path in files:
-        celsius = read_temperature(path) - 273.15
+        celsius = read_thermal_image(path).kelvin - 273.15
         assert np.isfinite(celsius).all() and -70 < celsius.min() < celsius.max() < 200, path.name
         # A wrong byte order turns neighbouring pixels into noise.
         assert np.median(np.abs(np.diff(celsius))) < 3.0, path.name

@@ -19,6 +19,8 @@ OPTIONAL = (
     ("pyulog", "logs", "PX4 logs in ULog"),
     ("pymavlink", "logs", "ArduPilot logs"),
     ("laspy", "clouds", "point clouds"),
+    ("pillow-jpls", "thermal-files", "CSQ files of FLIR"),
+    ("infiray-irg", "thermal-files", "IRG files of InfiRay"),
 )
 VARIANTS = ("scalar_rgb", "llvm_ad_mono", "llvm_ad_spectral", "cuda_ad_mono")
 

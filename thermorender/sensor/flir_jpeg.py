@@ -1,8 +1,8 @@
 """Read FLIR's radiometric JPEGs: the raw signal, the factory's constants and the settings stored with it.
 
 The container ("FFF"), split over APP1 segments, has a directory of records: the raw image is record 1 (16-bit values,
-plain or PNG with swapped bytes), the camera's block 0x20. Field offsets are from ExifTool's FLIR tables
-(https://exiftool.org/TagNames/FLIR.html).
+plain, PNG with swapped bytes, or JPEG-LS in sequences), the camera's block 0x20. Field offsets are from ExifTool's FLIR
+tables (https://exiftool.org/TagNames/FLIR.html).
 """
 
 import io
@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +21,18 @@ from thermorender.formats import refuse_overstated
 from thermorender.sensor.radiometry import AirModel, PlanckConstants, ThermographySettings, thermography_temperature
 from thermorender.units import ZERO_CELSIUS_K
 
+_FLIR = b"FLIR\0"
 _RAW, _CAMERA = 0x01, 0x20
 _MOST_PIXELS = 1 << 26
 _MOST_RECORDS = 512
+# First bytes of a container, and sizes of its head and of an entry of its directory.
+CONTAINERS = b"FFF\0", b"AFF\0"
+HEAD_BYTES, ENTRY_BYTES = 64, 32
 
 
-@dataclass(frozen=True)
-class RadiometricJpeg:
-    """One radiometric JPEG."""
+@dataclass(frozen=True, eq=False)
+class FlirImage:
+    """A radiometric JPEG, or a frame of a sequence."""
 
     raw: NDArray[np.uint16]  # (H, W) uint16 signal of the detector
     planck: PlanckConstants  # Of the factory's calibration, with `raw` as the signal
@@ -43,83 +47,107 @@ class RadiometricJpeg:
         return thermography_temperature(self.raw, self.planck, thermography or self.thermography, self.air)
 
 
-def read_flir_jpeg(path: str | PathLike[str]) -> RadiometricJpeg:
-    """Return the RadiometricJpeg of a file."""
+def read_flir_jpeg(path: str | PathLike[str]) -> FlirImage:
+    """Return the FlirImage of a radiometric JPEG."""
     path = Path(path)
     try:
-        data = path.read_bytes()
+        with path.open("rb") as file:
+            return flir_image(_container(file))
+    except Damaged as error:
+        raise ThermorenderError(
+            f"{path} is not a whole FLIR radiometric JPEG: {error}; give the camera's original file"
+        ) from None
     except OSError as error:
         raise ThermorenderError(f"{path} cannot be read: {error.strerror}; give a radiometric JPEG") from None
-    if dji_thermal(data):
-        raise ThermorenderError(f"{path} is a radiometric JPEG of DJI, not of FLIR; give it to read_dji_jpeg")
+
+
+def flir_image(container: bytes) -> FlirImage:
+    """Return the FlirImage of an FFF container; raise `Damaged` where it is not whole."""
     try:
-        records = _records(_container(data))
+        records = _records(container)
         missing = [name for kind, name in ((_RAW, "raw image"), (_CAMERA, "camera block")) if kind not in records]
         if missing:
-            raise _Damaged(f"it holds no {' and no '.join(missing)}")
-        return RadiometricJpeg(_raw_image(records[_RAW]), **_camera_block(records[_CAMERA]))
-    except (_Damaged, ThermorenderError) as error:
-        reason = str(error)
+            raise Damaged(f"it holds no {' and no '.join(missing)}")
+        raw = _raw_image(records[_RAW])
+        try:
+            return FlirImage(raw, **_camera_block(records[_CAMERA]))
+        except ThermorenderError as error:
+            raise Damaged(str(error)) from None
     except struct.error:
-        reason = "a record ends too early"
-    raise ThermorenderError(f"{path} is not a whole FLIR radiometric JPEG: {reason}; give the camera's original file")
+        raise Damaged("a record ends too early") from None
 
 
-def dji_thermal(data: bytes) -> bool:
-    """Return whether a JPEG's bytes are DJI's radiometric JPEG (APP3), whose calibration is not public.
+def radiometry_of_jpeg(file: BinaryIO) -> str:
+    """Return whose radiometric data a JPEG carries: "FLIR", "DJI" or, without any, ""; only its segments are read.
 
-    Source: GDAL's JPEG driver (pull request 12972: H20T, M30T, M3T). DJI's cameras with a FLIR core store FLIR's data.
+    DJI's have their signal in segments APP3, and their calibration is not public. DJI's cameras with a FLIR core store
+    FLIR's data. Source: GDAL's JPEG driver (pull request 12972: H20T, M30T, M3T).
     """
-    segments = list(_segments(data))
-    signal = sum(len(segment) for marker, segment in segments if marker == 0xE3)
-    return signal > 8192 and any(marker == 0xE1 and b"DJI" in segment for marker, segment in segments)
+    signal, dji, flir = 0, False, False
+    for marker, segment in _segments(file):
+        signal += len(segment) if marker == 0xE3 else 0
+        dji = dji or (marker == 0xE1 and b"DJI" in segment)
+        flir = flir or (marker == 0xE1 and segment.startswith(_FLIR))
+    return "DJI" if dji and signal > 8192 else "FLIR" if flir else ""
 
 
-def _segments(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """(marker, content) of a JPEG's segments before its picture."""
-    offset = 2
-    while offset + 4 <= len(data) and data[offset] == 0xFF:
-        marker, length = data[offset + 1], int.from_bytes(data[offset + 2 : offset + 4], "big")
-        yield marker, data[offset + 4 : offset + 2 + length]
+def _segments(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
+    """(marker, content) of a JPEG's segments before its picture; none of another file."""
+    if file.read(2) != b"\xff\xd8":
+        return
+    while len(head := file.read(4)) == 4 and head[0] == 0xFF:
+        marker, length = head[1], int.from_bytes(head[2:], "big")
+        yield marker, file.read(max(length - 2, 0))
         if marker in (0xD9, 0xDA) or length < 2:
             break
-        offset += 2 + length
 
 
-class _Damaged(Exception):
-    """A defect of the file's contents, as half a sentence."""
+class Damaged(Exception):
+    """A defect of a file's contents, as half a sentence."""
 
 
-def _container(data: bytes) -> bytes:
+def _container(file: BinaryIO) -> bytes:
     """The FFF container, joined from the JPEG's APP1 segments by their number."""
-    if data[:2] != b"\xff\xd8":
-        raise _Damaged("it is not a JPEG")
+    if file.read(2) != b"\xff\xd8":
+        raise Damaged("it is not a JPEG")
+    file.seek(0)
     parts: dict[int, bytes] = {}
-    for marker, segment in _segments(data):
-        if marker == 0xE1 and segment[:5] == b"FLIR\0" and len(segment) > 8:
+    for marker, segment in _segments(file):
+        if marker == 0xE1 and segment.startswith(_FLIR) and len(segment) > 8:
             parts[segment[6]] = segment[8:]
             last = segment[7]
     if not parts:
-        raise _Damaged("it carries no FLIR data")
+        raise Damaged("it carries no FLIR data")
     if sorted(parts) != list(range(last + 1)):
-        raise _Damaged(f"it announces {last + 1} pieces of FLIR data and holds {len(parts)}")
+        raise Damaged(f"it announces {last + 1} pieces of FLIR data and holds {len(parts)}")
     return b"".join(parts[number] for number in sorted(parts))
+
+
+def directory(head: bytes) -> tuple[str, int, int]:
+    """Return (byte order, offset, number of entries) of the directory of a container's records, by its first bytes."""
+    if head[:4] not in CONTAINERS or len(head) < HEAD_BYTES:
+        raise Damaged("the FLIR data do not begin with FFF")
+    # The version is between 100 and 199 in the right byte order.
+    order = ">" if 100 <= struct.unpack(">I", head[20:24])[0] < 200 else "<"
+    start, count = struct.unpack(order + "II", head[24:32])
+    return order, start, min(count, _MOST_RECORDS)
+
+
+def entries(table: bytes, order: str) -> Iterator[tuple[int, int, int]]:
+    """Yield (kind, offset, length) of the records in a directory's bytes; empty entries are left out."""
+    for at in range(0, len(table), ENTRY_BYTES):
+        kind = struct.unpack_from(order + "H", table, at)[0]
+        offset, length = struct.unpack_from(order + "II", table, at + 12)
+        if kind:
+            yield kind, offset, length
 
 
 def _records(container: bytes) -> dict[int, bytes]:
     """{kind: bytes} of the container's records, the first of each kind."""
-    if container[:4] not in (b"FFF\0", b"AFF\0") or len(container) < 64:
-        raise _Damaged("the FLIR data do not begin with FFF")
-    # The version is between 100 and 199 in the right byte order.
-    order = ">" if 100 <= struct.unpack(">I", container[20:24])[0] < 200 else "<"
-    start, count = struct.unpack(order + "II", container[24:32])
+    order, start, count = directory(container[:HEAD_BYTES])
     records: dict[int, bytes] = {}
-    for k in range(min(count, _MOST_RECORDS)):
-        entry = container[start + 32 * k : start + 32 * k + 32]
-        kind = struct.unpack(order + "H", entry[:2])[0]
-        offset, length = struct.unpack(order + "II", entry[12:20])
-        if kind and kind not in records:
-            records[kind] = container[offset : offset + length]
+    for kind, offset, length in entries(container[start : start + ENTRY_BYTES * count], order):
+        records.setdefault(kind, container[offset : offset + length])
     return records
 
 
@@ -133,17 +161,31 @@ def _raw_image(record: bytes) -> NDArray[np.uint16]:
     width, height = struct.unpack(order + "HH", record[2:6])
     pixels = record[32:]
     if not 0 < width * height <= _MOST_PIXELS:
-        raise _Damaged(f"the raw image is {width}×{height} pixels")
+        raise Damaged(f"the raw image is {width}×{height} pixels")
     if pixels[:8] == b"\x89PNG\r\n\x1a\n":
-        raw = _png(pixels, (width, height))
+        raw = _picture(pixels, (width, height), "PNG")
         # PNG is big-endian; little-endian cameras store their values without swapping the bytes.
         return raw.byteswap() if order == "<" else raw
+    if pixels[:4] == b"\xff\xd8\xff\xf7":
+        return _jpeg_ls(pixels, (width, height))
     if len(pixels) < 2 * width * height:
-        raise _Damaged(f"the raw image has {len(pixels)} of {2 * width * height} bytes")
+        raise Damaged(f"the raw image has {len(pixels)} of {2 * width * height} bytes")
     return np.frombuffer(pixels, order + "u2", width * height).reshape(height, width).astype(np.uint16)
 
 
-def _png(data: bytes, size: tuple[int, int]) -> NDArray[np.uint16]:
+def _jpeg_ls(data: bytes, size: tuple[int, int]) -> NDArray[np.uint16]:
+    try:
+        import pillow_jpls  # noqa: F401  # Pillow reads JPEG-LS once it is imported.
+    except ImportError:
+        raise ThermorenderError(
+            "FLIR data with pixels in JPEG-LS, as of CSQ files, need pillow-jpls, which is not installed; run pip "
+            "install 'thermorender[thermal-files]'"
+        ) from None
+    return _picture(data, size, "JPEG-LS")
+
+
+def _picture(data: bytes, size: tuple[int, int], kind: str) -> NDArray[np.uint16]:
+    """A grey picture of 16 bits inside, of a kind that Pillow reads."""
     import warnings
 
     from PIL import Image
@@ -151,13 +193,15 @@ def _png(data: bytes, size: tuple[int, int]) -> NDArray[np.uint16]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
+            with Image.open(io.BytesIO(data), formats=(kind,)) as image:
                 if image.size != size or image.mode not in ("I;16", "I;16B", "I"):
-                    raise _Damaged(f"the PNG inside is {image.size[0]}×{image.size[1]} {image.mode}")
+                    raise Damaged(f"the {kind} inside is {image.size[0]}×{image.size[1]} {image.mode}")
                 refuse_overstated(image, len(data))
                 return np.asarray(image).astype(np.uint16)
-    except (OSError, SyntaxError, ValueError, Warning, struct.error) as error:
-        raise _Damaged(f"the PNG inside cannot be read: {error}") from None
+    except (
+        OSError, SyntaxError, ValueError, RuntimeError, Warning, struct.error, Image.DecompressionBombError
+    ) as error:  # fmt: skip
+        raise Damaged(f"the {kind} inside cannot be read: {error}") from None
 
 
 def _camera_block(record: bytes) -> dict[str, Any]:
@@ -174,7 +218,7 @@ def _camera_block(record: bytes) -> dict[str, Any]:
     )
     finite = np.isfinite([planck.r1, planck.b, planck.f, planck.r2]).all()
     if not (finite and planck.r1 > 0.0 and planck.b > 0.0 and planck.r2 > 0.0):
-        raise _Damaged("its Planck constants are not positive numbers")
+        raise Damaged("its Planck constants are not positive numbers")
     humidity = number(0x3C)
     thermography = ThermographySettings(
         emissivity=number(0x20),

@@ -1,4 +1,4 @@
-"""Files of temperature: 16-bit TIFFs linear in kelvin, written and read, and radiometric JPEGs of FLIR and DJI.
+"""TIFFs of temperature: 16-bit ones linear in kelvin are written; those of other programs are read too.
 
 Cameras write TIFF counts without their unit: 0.04 K for a FLIR core in TLinear mode, 0.001 °C for others. The user has
 to give a scale that the file does not declare.
@@ -6,7 +6,7 @@ to give a scale that the file does not declare.
 
 import struct
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 
@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError, ThermorenderWarning
 from thermorender.formats import picture_tags
-from thermorender.sensor.radiometry import ThermographySettings
 from thermorender.units import LOWEST_KELVIN, ZERO_CELSIUS_K, kelvin_scale
 
 # FLIR Tau 2 product specification, TLinear: kelvin per count in high resolution, as in the TIFFs of a Zenmuse XT2.
@@ -39,11 +38,8 @@ _POSSIBLE_K = (LOWEST_KELVIN, 1500.0)
 _LEAST_MARGIN, _MOST_MARGIN = 0.001, 0.9
 # Temperatures of a picture have no gap of so many kelvin around 0 °C, which some of its pixels have exactly.
 _APART_K = 2.0
-FLIR_JPEG = (".jpg", ".jpeg")
-SUFFIXES = (".tif", ".tiff", *FLIR_JPEG)
 # The tag of EXIF and TIFF.
 _ORIENTATION = 274
-_SEQUENCES = (".seq", ".csq", ".ats", ".fcf", ".sfmov")
 
 
 def write_tlinear(path: str | PathLike[str], temperature: ArrayLike, step_k: float = TLINEAR_STEP_K) -> None:
@@ -71,34 +67,15 @@ def write_tlinear_counts(path: str | PathLike[str], counts: NDArray[np.uint16], 
 
 
 def read_temperature(
-    path: str | PathLike[str], scale: tuple[float, float] | None = None,
-    thermography: ThermographySettings | None = None, *, takes_scale: bool = True,
-) -> NDArray[np.float64]:  # fmt: skip
-    """Return the temperatures of a TIFF of one band or of a radiometric JPEG, (H, W) float64 [K]; NaN where none.
+    path: str | PathLike[str], scale: tuple[float, float] | None = None, *, takes_scale: bool = True
+) -> NDArray[np.float64]:
+    """Return the temperatures of a TIFF of one band, (H, W) float64 [K]; NaN where none.
 
     `scale` is (kelvin per count, kelvin of count 0) of a TIFF that does not declare them; floats between 238 and 338
-    are kelvin without it. `thermography` replaces the settings stored in FLIR's JPEG; DJI's is read as of
-    `dji_jpeg`. Margins count as no data, as in
-    `kelvin_of_counts`, and so do values that are not finite and above 0 K. `takes_scale` is whether the user can state
-    a scale.
+    are kelvin without it. Margins count as no data, as in `kelvin_of_counts`, and so do values that are not finite and
+    above 0 K. `takes_scale` is whether the user can state a scale.
     """
     path = Path(path)
-    if path.suffix.lower() in FLIR_JPEG:
-        from thermorender.sensor.dji_jpeg import is_dji_jpeg, read_dji_jpeg
-        from thermorender.sensor.flir_jpeg import read_flir_jpeg
-
-        if scale is not None:
-            raise ThermorenderError(f"{path} contains its calibration; leave out the scale")
-        if is_dji_jpeg(path):
-            if thermography is not None:
-                raise ThermorenderError(
-                    f"{path} is of DJI, whose pictures are read before any correction for surface and air; leave out "
-                    "the settings of thermography"
-                )
-            return read_dji_jpeg(path).kelvin
-        return read_flir_jpeg(path).temperature(thermography)
-    if path.suffix.lower() not in SUFFIXES:
-        raise ThermorenderError(f"{path} is of unknown kind; give one of {', '.join(SUFFIXES)}{sequence_hint([path])}")
     counts, declared, kind = read_tiff(path)
     if scale is None and declared is None and kind in ("uint8", "int8"):
         raise ThermorenderError(
@@ -159,17 +136,6 @@ def check_upright(path: Path) -> None:
             f"is that of the stored pixels, as in OpenSfM's files, set it to 1 with `exiftool -n -Orientation=1 "
             f"{path}`, otherwise turn the pixels"
         )
-
-
-def sequence_hint(paths: Iterable[Path]) -> str:
-    """Return what to do with FLIR's recorded sequences among files, after another sentence; empty without any."""
-    found = next((path.name for path in paths if path.suffix.lower() in _SEQUENCES), None)
-    if found is None:
-        return ""
-    return (
-        f"; {found} is a sequence of FLIR, so export its frames as radiometric JPEG or as TIFF in kelvin, for example "
-        "with FLIR Thermal Studio"
-    )
 
 
 def kelvin_of_counts(counts: NDArray[np.float64], scale: Sequence[float]) -> NDArray[np.float64]:

@@ -13,9 +13,9 @@ import numpy as np
 from thermorender import defaults, formats
 from thermorender.apps.survey.footage.calibration import (
     fit_camera,
-    frame_files,
+    footage,
+    images_of,
     noise_scale,
-    read_frame,
     write_camera,
 )
 from thermorender.apps.survey.footage.noise_statistics import Spectra, block_means, block_powers, noise_of
@@ -59,12 +59,12 @@ def compare(paths, output, base=defaults.CAMERA, scale=None, scene=KINDS[0], nam
         Keywords of Renderer.
     """
     report = progress or (lambda step, share: None)
-    camera, frames = load_camera(base, "base camera"), frame_files(paths)
+    camera, frames = load_camera(base, "base camera"), footage(paths)
     found = fit_camera(paths, base, scale, lambda share: report("reading the footage", share))
     fitted_path = Path(output) / f"{name}.toml"
     write_camera(fitted_path, base, found)
     sides = {
-        "real": (read_frame(path, scale)[0] for path in frames),
+        "real": (image.kelvin for image in images_of(frames, scale)),
         "simulated, as the file has it": None,
         "simulated, fitted": None,
     }

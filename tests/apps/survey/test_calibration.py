@@ -5,9 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import tifffile
 from support import shared_data, slow
 from typer.testing import CliRunner
 
+from tests.robustness.fuzz.corpus.images import flir_container
 from thermorender.apps.survey.footage import calibration
 from thermorender.apps.survey.footage.edge_width import edge_widths, sharpest, width_through
 from thermorender.apps.survey.footage.field_statistics import Field
@@ -19,10 +21,12 @@ from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.chain import Sensor, in_sequence
+from thermorender.sensor.flir_jpeg import flir_image
 from thermorender.sensor.noise import half_waves, noise_power
 from thermorender.sensor.psf import otf
 from thermorender.sensor.radiometric_files import write_tlinear
 from thermorender.sensor.readout import radiance_from_counts
+from thermorender.sensor.thermal_files import thermal_frames, thermal_images
 from thermorender.sensor.wander import Wander
 
 GRID = RadianceTable.grid(250.0, 345.0)
@@ -123,6 +127,17 @@ def test_fit_recovers_a_known_camera(takes, key):
     error = np.hypot(offset, spread)
     assert 0.4 * error < found[:, 1].min() and found[:, 1].max() < 2.0 * error
     assert error < 0.28 * true
+
+
+def test_a_sequence_gives_the_fit_of_its_frames_as_tiffs(base, tmp_path):
+    planck = flir_image(flir_container(np.zeros((4, 4), np.uint16))).planck
+    signals = [np.rint(planck.signal(image)).astype(np.uint16) for image in footage(CAMERA, 4)]
+    (tmp_path / "walk.seq").write_bytes(b"".join(map(flir_container, signals)))
+    (tmp_path / "tiffs").mkdir()
+    for image in thermal_images(thermal_frames([tmp_path / "walk.seq"]), correction="nothing"):
+        tifffile.imwrite(tmp_path / "tiffs" / f"{image.frame.name}.tif", image.kelvin)
+    found, expected = (calibration.fit_camera([tmp_path / name], base) for name in ("walk.seq", "tiffs"))
+    assert found == expected and found["netd_mk"].value == pytest.approx(CAMERA.netd_mk, rel=0.1)
 
 
 def test_static_camera(base, tmp_path):

@@ -317,7 +317,7 @@ def test_a_scale_against_the_file_s_own_is_refused(tmp_path):
 
 
 def test_names_are_compared_beyond_neighbours_in_the_folder(tmp_path):
-    for name in ("a.jpg", "a.k.tif", "a.tif"):
+    for name in ("a.tiff", "a.k.tif", "a.tif"):
         (tmp_path / name).touch()
     with pytest.raises(ThermorenderError, match="have the same name"):
         frame_files([tmp_path])

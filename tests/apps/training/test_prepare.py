@@ -541,7 +541,7 @@ def test_scale_tags_and_units_of_a_tiff_are_followed(tmp_path, units, expected):
 
 
 def test_files_of_other_makers_name_the_tool_that_converts_them(tmp_path):
-    from thermorender.apps.survey.footage.calibration import frame_files
+    from thermorender.apps.survey.footage.calibration import footage
 
     radiometric = write_dji_jpeg(tmp_path / "radiometric.jpg").read_bytes()
     # The same with the camera's name and without the signal.
@@ -550,9 +550,11 @@ def test_files_of_other_makers_name_the_tool_that_converts_them(tmp_path):
     with pytest.raises(ThermorenderError, match=r"radiometric JPEG of DJI.*dji_irp -s IN.JPG -a measure"):
         pictures.read_thermal(tmp_path / "radiometric.jpg")
     (tmp_path / "seq").mkdir()
-    (tmp_path / "seq" / "a.csq").write_bytes(b"FFF\0")
-    for reader in (lambda path: frame_files([path]), lambda path: pictures.matched(path, path)):
-        with pytest.raises(ThermorenderError, match=r"a\.csq is a sequence of FLIR, so export its frames"):
+    (tmp_path / "seq" / "a.ats").write_bytes(b"FFF\0")
+    for reader in (lambda path: footage([path]), lambda path: pictures.matched(path, path)):
+        with pytest.raises(
+            ThermorenderError, match=r"a\.ats is a sequence that only FLIR's own .* FLIR Research Studio"
+        ):
             reader(tmp_path / "seq")
 
 

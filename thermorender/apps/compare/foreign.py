@@ -12,7 +12,7 @@ from thermorender.apps.training.dataset import Entry
 from thermorender.errors import ThermorenderError
 from thermorender.formats import decoded
 from thermorender.scene.surface import scene_kelvin
-from thermorender.sensor.radiometric_files import read_temperature
+from thermorender.sensor.thermal_files import read_thermal_image
 
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 
@@ -80,7 +80,7 @@ class Foreign:
 
         image: NDArray[Any] | None
         if self.scaled:
-            image = read_temperature(path, takes_scale=False)
+            image = read_thermal_image(path, takes_scale=False).kelvin
         else:
             image = decoded(path.read_bytes(), cv2.IMREAD_UNCHANGED) if path.is_file() else None
         if image is not None and image.ndim == 3 and (image[..., :3] == image[..., :1]).all():
@@ -128,6 +128,6 @@ def _check_folder(name: str, folder: Path, wanted: str) -> None:
 def _declares(path: Path) -> bool:
     """Return whether a picture is a TIFF that declares its unit."""
     try:
-        return path.suffix.lower() in (".tif", ".tiff") and read_temperature(path) is not None
+        return path.suffix.lower() in (".tif", ".tiff") and read_thermal_image(path) is not None
     except ThermorenderError:
         return False

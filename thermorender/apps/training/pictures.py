@@ -1,7 +1,7 @@
 """Picture files of a data set: which files form pairs and sequences, and reading them.
 
-A thermal file is an 8-bit picture, a 16-bit one, a TIFF of temperatures or FLIR's radiometric JPEG. Temperatures become
-16-bit values of 0.01 K; values of unknown scale stay unchanged.
+A thermal file is an 8-bit picture, a 16-bit one, or a TIFF or other file of temperatures, of one frame. Temperatures
+become 16-bit values of 0.01 K; values of unknown scale stay unchanged.
 """
 
 import re
@@ -16,8 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError, ThermorenderWarning
 from thermorender.formats import decoded, picture_tags
-from thermorender.sensor.dji_jpeg import read_dji_jpeg
-from thermorender.sensor.flir_jpeg import dji_thermal, read_flir_jpeg
 from thermorender.sensor.radiometric_files import (
     kelvin_of_counts,
     likely_scales,
@@ -25,12 +23,11 @@ from thermorender.sensor.radiometric_files import (
     orientation,
     read_tiff,
     scale_request,
-    sequence_hint,
 )
-from thermorender.sensor.radiometry import ThermographySettings
+from thermorender.sensor.thermal_files import is_radiometric, read_thermal_image, sequence_hint
 from thermorender.units import ZERO_CELSIUS_K, kelvin
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".irg")
 # Step of stored temperatures [K]; 16 bits reach 655.35 K.
 STEP_K = 0.01
 # Smallest accepted side of a picture [px].
@@ -105,15 +102,11 @@ def read_thermal(path: str | Path, scale: Sequence[float] | None = None, intensi
     intensities.
     """
     path = Path(path)
-    maker = _maker(path) if path.suffix.lower() in (".jpg", ".jpeg") else ""
-    if maker:
-        # Apparent temperature, before any correction for surface and air.
-        read = (
-            read_dji_jpeg(path).kelvin if maker == "DJI" else read_flir_jpeg(path).temperature(ThermographySettings())
-        )
-        found = _of_kelvin(_upright(read, path))
-    elif path.suffix.lower() in (".tif", ".tiff"):
+    if path.suffix.lower() in (".tif", ".tiff"):
         found = _of_tiff(path, scale, intensity)
+    elif is_radiometric(path):
+        # Apparent temperature, before any correction for surface and air.
+        found = _of_kelvin(_upright(read_thermal_image(path, correction="nothing").kelvin, path))
     else:
         image = _decoded(path)
         if image.ndim == 3:
@@ -234,9 +227,20 @@ def _named(folder: str | Path, pattern: str, what: str) -> dict[str, Path]:
     if not found:
         raise ThermorenderError(
             f"{folder} has no picture ({', '.join(SUFFIXES)}) that matches {pattern!r}; give another --{what}"
-            f"{sequence_hint(folder.iterdir())}"
+            f"{_unpaired(folder)}{sequence_hint(folder.iterdir())}"
         )
     return found
+
+
+def _unpaired(folder: Path) -> str:
+    """What to do with a sequence of a folder, after another sentence; empty without one."""
+    found = next((path.name for path in sorted(folder.iterdir()) if path.suffix.lower() in (".seq", ".csq")), None)
+    if found is None:
+        return ""
+    return (
+        f"; {found} is a sequence, of which no frame has a picture of its name, so write its frames as TIFF, which "
+        "thermorender.sensor.thermal_files.thermal_images yields"
+    )
 
 
 def _by_number(name: str) -> list[tuple[int, str]]:
@@ -271,17 +275,6 @@ def _upright(image: np.ndarray, path: Path) -> np.ndarray:
     # Rows and columns of the shown picture that run backwards.
     rows, columns = (slice(None, None, -1 if value in those else 1) for those in ((3, 4, 7, 8), (2, 3, 6, 7)))
     return np.ascontiguousarray(image[rows, columns])
-
-
-def _maker(path: Path) -> str:
-    """Whose radiometric data a JPEG carries: "FLIR", "DJI" or, without any, ""."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ThermorenderError(f"{path} cannot be read ({error.strerror}); give a picture") from None
-    if dji_thermal(data):
-        return "DJI"
-    return "FLIR" if re.search(rb"\xff\xe1..FLIR\0", data, re.DOTALL) else ""
 
 
 def _of_tiff(path: Path, scale: Sequence[float] | None, intensity: bool) -> Thermal:

@@ -1,5 +1,6 @@
 """Rasters, pictures and videos."""
 
+import io
 import struct
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -101,7 +102,10 @@ def _picture(path):
     return read_visible(path)
 
 
-def _write_flir(path):
+def flir_container(raw, pixels=None, overstated=0):
+    """A container of FLIR with an image of raw values (H, W), whose bytes `pixels` replace, and a camera's block; its
+    directory states `overstated` bytes too many.
+    """
     camera = bytearray(0x340)
     for at, value in {
         0x20: 0.95, 0x24: 10.0, 0x28: 293.15, 0x2C: 293.15, 0x30: 293.15, 0x34: 1.0, 0x3C: 0.5, 0x58: 17096.5,
@@ -110,16 +114,40 @@ def _write_flir(path):
     }.items():  # fmt: skip
         struct.pack_into(">f", camera, at, value)
     struct.pack_into(">i", camera, 0x308, -124)
-    raw = struct.pack(">HHH", 3, 12, 8) + bytes(26)
-    raw += np.random.default_rng(0).integers(15000, 16000, (8, 12)).astype(">u2").tobytes()
-    records = [(0x01, raw), (0x20, bytes(camera))]
+    height, width = raw.shape
+    image = struct.pack(">HHH", 3, width, height) + bytes(26)
+    image += raw.astype(">u2").tobytes() if pixels is None else pixels
+    records = [(0x01, image, 0), (0x20, bytes(camera), overstated)]
     body, entries, at = b"", b"", 64 + 32 * len(records)
-    for kind, data in records:
-        entries += struct.pack(">HHIIIIII", kind, 0, 0, 0, at + len(body), len(data), 0, 0).ljust(32, b"\0")
+    for kind, data, more in records:
+        entries += struct.pack(">HHIIIIII", kind, 0, 0, 0, at + len(body), len(data) + more, 0, 0).ljust(32, b"\0")
         body += data
-    container = b"FFF\0" + b"test".ljust(16, b"\0") + struct.pack(">III", 100, 64, len(records)) + bytes(32) + entries
-    segment = b"FLIR\0\x01\0\0" + container + body
-    path.write_bytes(b"\xff\xd8\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + b"\xff\xd9")
+    head = b"FFF\0" + b"test".ljust(16, b"\0") + struct.pack(">III", 100, 64, len(records)) + bytes(32)
+    return head + entries + body
+
+
+def jpeg_ls(raw):
+    """Raw values (H, W) as JPEG-LS, as in CSQ files."""
+    import pillow_jpls  # noqa: F401  # Pillow writes JPEG-LS once it is imported.
+    from PIL import Image
+
+    memory = io.BytesIO()
+    Image.fromarray(raw).save(memory, "JPEG-LS", spiff=None)
+    return memory.getvalue()
+
+
+def _raw(seed):
+    return np.random.default_rng(seed).integers(15000, 16000, (8, 12)).astype(np.uint16)
+
+
+def flir_jpeg(container):
+    """The bytes of a radiometric JPEG with a container of FLIR, without a picture."""
+    segment = b"FLIR\0\x01\0\0" + container
+    return b"\xff\xd8\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + b"\xff\xd9"
+
+
+def _write_flir(path):
+    path.write_bytes(flir_jpeg(flir_container(_raw(0))))
 
 
 @reader("FLIR JPEG", "picture.jpg", _write_flir)
@@ -129,6 +157,37 @@ def _flir(path):
     found = read_flir_jpeg(path)
     # A signal below the formula's zero has no temperature.
     return found.planck, found.thermography, found.air
+
+
+def _write_seq(path):
+    path.write_bytes(b"".join(flir_container(_raw(seed)) for seed in range(3)))
+
+
+def _write_csq(path):
+    frames = [flir_container(raw, jpeg_ls(raw), 4 * (seed == 2)) for seed, raw in enumerate(map(_raw, range(3)))]
+    path.write_bytes(b"".join(frames))
+
+
+def _sequence(path):
+    from thermorender.sensor.thermal_files import thermal_frames, thermal_images
+
+    # A signal below the formula's zero has no temperature.
+    return [image.kelvin[np.isfinite(image.kelvin)] for image in thermal_images(thermal_frames([path]))]
+
+
+reader("FLIR SEQ", "sequence.seq", _write_seq)(_sequence)
+reader("FLIR CSQ", "sequence.csq", _write_csq)(_sequence)
+
+
+def _write_irg(path):
+    celsius = np.random.default_rng(0).uniform(0.0, 40.0, (12, 16))
+    head = struct.pack("<HH", 0xACCA, 128) + struct.pack("<IHHHHHHHIHHI", 192, 12, 16, 0, 0, 0, 0, 0, 0, 12, 16, 9500)
+    head += struct.pack("<9IHHI", 2732, 2732, 10000, *([0] * 6), 0, 0, 1)
+    counts = np.rint((celsius + 273.15) * 16.0).astype("<u2")
+    path.write_bytes(head.ljust(126, b"\0") + b"\xac\xca" + bytes(192) + counts.tobytes())
+
+
+reader("InfiRay IRG", "picture.irg", _write_irg)(_sequence)
 
 
 def _write_temperatures(path):

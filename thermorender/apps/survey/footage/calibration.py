@@ -6,7 +6,7 @@ noise keys are stated for a lossless lens at 300 K, the blur for a lens of known
 
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
@@ -24,13 +24,18 @@ from thermorender.files import atomic, check_output_file
 from thermorender.physics.planck import band_radiance_derivative
 from thermorender.schema import read_toml, toml_line, toml_value
 from thermorender.sensor.camera import model_path
-from thermorender.sensor.dji_jpeg import is_dji_jpeg
-from thermorender.sensor.flir_jpeg import read_flir_jpeg
 from thermorender.sensor.noise import NETD_REFERENCE_K
 from thermorender.sensor.optics import relative_illumination
 from thermorender.sensor.psf import otf
-from thermorender.sensor.radiometric_files import FLIR_JPEG, SUFFIXES, read_temperature, sequence_hint
-from thermorender.sensor.radiometry import ThermographySettings
+from thermorender.sensor.thermal_files import (
+    SUFFIXES,
+    ThermalFrame,
+    ThermalImage,
+    files_of,
+    sequence_hint,
+    thermal_frames,
+    thermal_images,
+)
 from thermorender.units import ZERO_CELSIUS_K, kelvin
 
 # Number of frames, evenly spaced, in which edges are searched.
@@ -75,12 +80,12 @@ def _rounded(value: float) -> float:
     return float(f"{value:.4g}")
 
 
-def frame_files(paths: Iterable[str | PathLike[str]]) -> list[Path]:
-    """Return the frames in files and folders, sorted by name within a folder."""
+def footage(paths: Iterable[str | PathLike[str]]) -> list[ThermalFrame]:
+    """Return the frames in files, sequences and folders, sorted by name within a folder."""
     files = []
     for path in map(Path, paths):
         if path.is_dir():
-            files += sorted(item for item in path.iterdir() if item.suffix.lower() in SUFFIXES)
+            files += files_of(path)
         elif not path.is_file():
             raise ThermorenderError(f"{path} does not exist; give frames or folders of frames")
         else:
@@ -88,28 +93,33 @@ def frame_files(paths: Iterable[str | PathLike[str]]) -> list[Path]:
     if not files:
         hint = sequence_hint(item for path in map(Path, paths) if path.is_dir() for item in path.iterdir())
         raise ThermorenderError(f"no frames ({', '.join(SUFFIXES)}) in {', '.join(map(str, paths))}{hint}")
-    return files
+    return thermal_frames(files)
+
+
+def images_of(frames: Sequence[ThermalFrame], scale: tuple[float, float] | None) -> Iterator[ThermalImage]:
+    """Yield the frames' temperatures at the camera: its noise is defined before any correction for surface and air."""
+    return thermal_images(frames, scale, "nothing")
 
 
 def fit_camera(
     paths: Iterable[str | PathLike[str]], base: str | PathLike[str] = defaults.CAMERA,
     scale: tuple[float, float] | None = None, progress: Callable[[float], object] | None = None,
 ) -> dict[str, Estimate]:  # fmt: skip
-    """Return {key of a camera file: Estimate} from a camera's frames, 16-bit TIFFs or radiometric JPEGs.
+    """Return {key of a camera file: Estimate} from a camera's frames: TIFFs, radiometric JPEGs or sequences.
 
     `scale` is (kelvin per count, kelvin of count 0) of TIFFs that declare none.
     """
-    camera, files = load_camera(base, "base camera"), frame_files(paths)
+    camera, frames = load_camera(base, "base camera"), footage(paths)
     if camera.well_electrons:
         raise ThermorenderError(
             f"base camera {camera.name} has a photon detector, whose noise grows with the signal; give a microbolometer"
         )
     shape = camera.height, camera.width
     spectra, field = Spectra(shape, 1.0 / relative_illumination(camera).astype(np.float64)), Field(shape)
-    kept, steps, means, tails = _gathered(files, scale, camera, spectra, field, progress)
+    kept, steps, means, tails = _gathered(frames, scale, camera, spectra, field, progress)
     noise, step_k, scene_k = noise_of(spectra), float(np.median(steps)), float(np.mean(means))
-    _refuse_unfit(files, noise, spectra, step_k)
-    found = _rims_key(spectra, noise, camera) if len(files) > 1 else {}
+    _refuse_unfit(frames, noise, spectra, step_k)
+    found = _rims_key(spectra, noise, camera) if len(frames) > 1 else {}
     rims = found.get("vignetting")
     if rims and abs(rims.number - camera.vignetting) > 3.0 * rims.uncertainty:
         # The noise was estimated with the illumination of the base camera.
@@ -118,14 +128,14 @@ def fit_camera(
         noise = noise_of(spectra)
     found |= _field_keys(field, noise, camera, scene_k, step_k)
     sigma_t = found["sigma_t_mk"].number if "sigma_t_mk" in found else camera.sigma_t_mk
-    found = _noise_keys(noise, camera, scene_k, step_k, len(files), sigma_t) | found
+    found = _noise_keys(noise, camera, scene_k, step_k, len(frames), sigma_t) | found
     everywhere = noise.pixel[0] * np.sqrt((spectra.gain**2).mean())
     blur = _blur_key(kept, np.hypot(everywhere, noise.fixed_pixel[0] if noise.fixed_pixel else 0.0), camera)
     return found | blur | _display_key(np.array(tails))
 
 
 def _gathered(
-    files: Sequence[Path], scale: tuple[float, float] | None, camera: Camera, spectra: Spectra, field: Field,
+    frames: Sequence[ThermalFrame], scale: tuple[float, float] | None, camera: Camera, spectra: Spectra, field: Field,
     progress: Callable[[float], object] | None,
 ) -> tuple[list[NDArray[Any]], list[float], list[float], list[tuple[float, float]]]:  # fmt: skip
     """Add frames to `spectra` and `field`; (some of the frames, steps [K], means [K], saturated shares [%])."""
@@ -133,9 +143,9 @@ def _gathered(
     steps: list[float] = []
     means: list[float] = []
     tails: list[tuple[float, float]] = []
-    every = max(len(files) // _EDGE_FRAMES, 1)
-    for number, path in enumerate(files):
-        image, saturated = read_frame(path, scale)
+    every = max(len(frames) // _EDGE_FRAMES, 1)
+    for number, found in enumerate(images_of(frames, scale)):
+        image, path = found.kelvin, found.frame.path
         if image.shape != spectra.shape:
             raise ThermorenderError(
                 f"{path} is {image.shape[1]}×{image.shape[0]} pixels and the base camera {camera.name} "
@@ -147,15 +157,15 @@ def _gathered(
         field.add(np.where(np.isfinite(image), image, np.nanmean(image)), cut_off)
         steps.append(_step(image))
         means.append(float(np.nanmean(image[~cut_off])))
-        tails += saturated
+        tails += [] if found.saturated is None else [found.saturated]
         if number % every == 0:
             kept.append(image)
         if progress:
-            progress((number + 1) / len(files))
+            progress((number + 1) / len(frames))
     return kept, steps, means, tails
 
 
-def _refuse_unfit(files: Sequence[Path], noise: Noise, spectra: Spectra, step_k: float) -> None:
+def _refuse_unfit(frames: Sequence[ThermalFrame], noise: Noise, spectra: Spectra, step_k: float) -> None:
     """Refuse frames without noise, and a flat-field correction between frames of a static camera."""
     if noise.pixel[0] <= 0.0:
         raise ThermorenderError(
@@ -165,7 +175,7 @@ def _refuse_unfit(files: Sequence[Path], noise: Noise, spectra: Spectra, step_k:
     if noise.static and spectra.corrected():
         first = spectra.corrected()[0]
         raise ThermorenderError(
-            f"the fixed pattern changes from {files[first - 1].name} to {files[first].name}, as by a flat-field "
+            f"the fixed pattern changes from {frames[first - 1].label} to {frames[first].label}, as by a flat-field "
             "correction; give frames between two of them"
         )
 
@@ -344,22 +354,8 @@ def _blur_key(images: Sequence[NDArray[Any]], noise_k: float, camera: Camera) ->
     return {"blur_sigma_px": Estimate(value, 0.5 * (high - low), how)}
 
 
-def read_frame(path: Path, scale: tuple[float, float] | None) -> tuple[NDArray[np.float64], list[tuple[float, float]]]:
-    """Return the apparent temperatures of a file, (H, W) [K], and the shares of pixels that its display saturates.
-
-    These are [(below, above) the colour scale [%]], or [] if no scale is stored.
-    """
-    if path.suffix.lower() not in FLIR_JPEG or is_dji_jpeg(path):
-        return read_temperature(path, scale), []
-    picture = read_flir_jpeg(path)
-    ends = picture.camera["scale_raw"]
-    tails = [] if ends is None else [(100.0 * (picture.raw < ends[0]).mean(), 100.0 * (picture.raw > ends[1]).mean())]
-    # The noise of the camera is defined before any correction for surface and air.
-    return picture.temperature(ThermographySettings()), tails
-
-
 def _display_key(tails: NDArray[Any]) -> dict[str, Estimate]:
-    """{agc_tails_percent: Estimate} from the colour scales in radiometric JPEGs; empty without any."""
+    """{agc_tails_percent: Estimate} from the colour scales in files of FLIR; empty without any."""
     if not len(tails):
         return {}
     middle = tuple(float(value) for value in np.minimum(np.median(tails, axis=0), 49.0))

@@ -19,12 +19,19 @@ from thermorender.apps.survey.footage.lens_files import Lens
 from thermorender.apps.survey.inverse.linear import RANGE_K
 from thermorender.errors import ThermorenderError
 from thermorender.formats import picture_tags
-from thermorender.sensor.dji_jpeg import is_dji_jpeg, read_dji_jpeg
-from thermorender.sensor.flir_jpeg import read_flir_jpeg
-from thermorender.sensor.radiometric_files import FLIR_JPEG, SUFFIXES, check_upright, read_temperature
+from thermorender.sensor.radiometric_files import check_upright
 from thermorender.sensor.radiometry import ThermographySettings
+from thermorender.sensor.thermal_files import (
+    SUFFIXES,
+    ThermalFrame,
+    ThermalImage,
+    files_of,
+    thermal_frames,
+    thermal_images,
+)
 from thermorender.trajectory.readers import enu_from_ned_at
 from thermorender.trajectory.rotations import BODY_FROM_CAMERA, rotation_from_angles
+from thermorender.units import ZERO_CELSIUS_K
 
 Floats = NDArray[np.float64]
 # Heights above the take-off point, and those above the terrain, need the terrain; the others do not.
@@ -100,7 +107,7 @@ class Survey:
 
 
 def frame_files(paths: Iterable[Path]) -> list[Path]:
-    """Return the frames among files and folders, sorted by name; hidden files of folders are left out.
+    """Return the thermal files among files and folders, sorted by name; of folders as `thermal_files.files_of`.
 
     Raises
     ------
@@ -110,9 +117,7 @@ def frame_files(paths: Iterable[Path]) -> list[Path]:
     found: list[Path] = []
     for path in paths:
         if path.is_dir():
-            # macOS keeps a file ._NAME beside each NAME on drives of other systems.
-            inside = (each for each in path.iterdir() if each.suffix.lower() in SUFFIXES and not each.is_dir())
-            found += [each for each in inside if not each.name.startswith(".")]
+            found += files_of(path)
         elif path.is_file():
             found.append(path)
         else:
@@ -152,92 +157,98 @@ def read_frames(
     ThermorenderError
         A file that cannot be read, frames of different sizes, a frame without pose, or a scene without a place.
     """
-    files, own, notes = _with_places(files, places)
-    images: dict[Path, NDArray[np.float32]] = {}
-    settings: dict[Path, ThermographySettings] = {}
-    readings: list[str] = []
-    invalid, digests, copies = 0, dict[bytes, Path](), dict[Path, Path]()
-    for path in files:
-        read = _read_kelvin(path, scale, settings, readings)
-        kelvin, outside = _known(path, read)
-        # Even frames, such as of a closed shutter, are alike without being copies.
-        even = np.nanmin(kelvin) == np.nanmax(kelvin)
-        kept = path if even else digests.setdefault(hashlib.sha256(kelvin.tobytes()).digest(), path)
-        if kept != path:
-            copies[path] = kept
-            continue
-        images[path] = kelvin
-        invalid += outside
-        first = images[files[0]]
-        if first.shape != kelvin.shape:
-            raise ThermorenderError(
-                f"{path} has {kelvin.shape[1]}×{kelvin.shape[0]} pixels and {files[0]} "
-                f"{first.shape[1]}×{first.shape[0]}; give frames of one camera"
-            )
-    notes += _notes_on(invalid, [*settings.values()], readings, copies)
-    chosen = [own[path.stem] for path in images]
+    frames, own, notes = _with_places(thermal_frames(files), places)
+    for path in dict.fromkeys(frame.path for frame in frames):
+        check_upright(path)
+    air_c = _air_of(scene)
+    # The scene has emissivities, so that of a setting for all surfaces is not removed as well.
+    images = thermal_images(frames, scale, "air", air_c)
+    kelvin, read, invalid, copies = _gathered(frames, images)
+    notes += _notes_on(invalid, read, copies, air_c)
+    chosen = [own[image.frame.name] for image in read]
     poses, said = poses_of(chosen, scene, above_ground_m)
-    names = tuple(path.stem for path in images)
-    times = tuple(place.time or tagged_time(path) for path, place in zip(images, chosen, strict=True))
-    removed = tuple(path in settings for path in images)
-    return Survey(names, times, np.stack([*images.values()]), poses, (*notes, *said), _common_lens(chosen), removed)
+    names = tuple(image.frame.name for image in read)
+    times = tuple(place.time or tagged_time(image.frame.path) for image, place in zip(read, chosen, strict=True))
+    removed = tuple(image.corrected == "air" for image in read)
+    return Survey(names, times, kelvin, poses, (*notes, *said), _common_lens(chosen), removed)
 
 
 def _with_places(
-    files: Sequence[Path], places: Mapping[str, Place] | None
-) -> tuple[Sequence[Path], dict[str, Place], list[str]]:
+    frames: Sequence[ThermalFrame], places: Mapping[str, Place] | None
+) -> tuple[Sequence[ThermalFrame], dict[str, Place], list[str]]:
     """(frames that have a Place, the Places by name, notes on the others)."""
     if places is None:
-        return files, {path.stem: tagged_place(path) for path in files}, []
+        return frames, {frame.name: tagged_place(frame.path) for frame in frames}, []
     own = dict(places)
-    missing = [path.name for path in files if path.stem not in own]
+    missing = [frame.label for frame in frames if frame.name not in own]
     notes = []
     if missing:
         notes.append(f"{len(missing)} frames have no pose and are left out: {', '.join(missing[:5])}")
-    if len(missing) == len(files):
+    if len(missing) == len(frames):
         raise ThermorenderError(
             f"no frame has a pose in the file of poses: it names {', '.join(sorted(own)[:3])}, and the frames are "
             f"{', '.join(missing[:3])}; write the frames' names, with the same capitals, into the file"
         )
-    return [path for path in files if path.stem in own], own, notes
+    return [frame for frame in frames if frame.name in own], own, notes
 
 
-def _read_kelvin(
-    path: Path, scale: tuple[float, float] | None, settings: dict[Path, ThermographySettings], readings: list[str]
-) -> Floats:  # fmt: skip
-    """Apparent temperatures (H, W) [K] of a file; notes the settings of a radiometric JPEG of FLIR in `settings`, and
-    in `readings` how another program read one of DJI.
+def _air_of(scene: Scene) -> float | None:
+    """The air's temperature over the scene's ground [°C]: of its weather, otherwise of its air; None without both."""
+    if scene.time is not None:
+        return float(scene.weather.at(scene.time).air_k) - ZERO_CELSIUS_K
+    return None if scene.air is None else float(scene.air.air_temperature(scene.altitude_m)) - ZERO_CELSIUS_K
+
+
+def _gathered(
+    frames: Sequence[ThermalFrame], images: Iterable[ThermalImage]
+) -> tuple[NDArray[np.float32], list[ThermalImage], int, dict[str, str]]:
+    """(temperatures (F, H, W) [K], the images without their own, number of pixels left out, {copy: its original}).
+
+    Copies of frames, pixel by pixel, are left out.
     """
-    check_upright(path)
-    if path.suffix.lower() not in FLIR_JPEG:
-        return read_temperature(path, scale)
-    if is_dji_jpeg(path):
-        found = read_dji_jpeg(path)
-        readings.append(found.words)
-        return found.kelvin
-    picture = read_flir_jpeg(path)
-    settings[path] = picture.thermography
-    # The scene has emissivities, so that of a setting for all surfaces is not removed as well.
-    return picture.temperature(replace(picture.thermography, emissivity=1.0))
+    kelvin = np.empty((0, 0, 0), np.float32)
+    kept, invalid, digests, copies = list[ThermalImage](), 0, dict[bytes, str](), dict[str, str]()
+    for image in images:
+        label = image.frame.label
+        known, outside = _known(str(image.frame.path.with_name(label)), image.kelvin)
+        # Even frames, such as of a closed shutter, are alike without being copies.
+        even = np.nanmin(known) == np.nanmax(known)
+        original = label if even else digests.setdefault(hashlib.sha256(known.tobytes()).digest(), label)
+        if original != label:
+            copies[label] = original
+            continue
+        if not kept:
+            kelvin = np.empty((len(frames), *known.shape), np.float32)
+        if known.shape != kelvin.shape[1:]:
+            raise ThermorenderError(
+                f"{image.frame.path} has {known.shape[1]}×{known.shape[0]} pixels and {kept[0].frame.path} "
+                f"{kelvin.shape[2]}×{kelvin.shape[1]}; give frames of one camera"
+            )
+        kelvin[len(kept)] = known
+        kept.append(replace(image, kelvin=np.empty((0, 0))))
+        invalid += outside
+    return kelvin[: len(kept)], kept, invalid, copies
 
 
 def _notes_on(
-    invalid: int, settings: Sequence[ThermographySettings], readings: Sequence[str], copies: Mapping[Path, Path]
+    invalid: int, images: Sequence[ThermalImage], copies: Mapping[str, str], air_c: float | None
 ) -> list[str]:  # fmt: skip
-    """Sentences on pixels without temperature, on settings that were used, and on copies left out."""
+    """Sentences on pixels without temperature, on how files were read, and on copies left out."""
     notes = []
     if invalid:
         low, high = RANGE_K
         notes.append(f"{invalid} pixels outside {low:g}–{high:g} K are left out")
+    settings = [image.settings for image in images if image.settings is not None]
     if settings:
         notes.append(_said(settings))
+    readings = [image.words for image in images if image.words]
     for words in dict.fromkeys(readings):
-        notes.append(
-            f"{readings.count(words)} radiometric JPEGs of DJI were read by {words}; another temperature of the air "
-            "moves all of them by kelvins"
-        )
+        notes.append(f"{readings.count(words)} {words}")
+    if any(image.air_c is not None for image in images):
+        whose = "the files' own" if air_c is None else "that of the scene"
+        notes.append(f"the temperature of the air in these readings is {whose}; another moves all of them by kelvins")
     if copies:
-        shown = ", ".join(f"{path.name} of {kept.name}" for path, kept in list(copies.items())[:5])
+        shown = ", ".join(f"{copy} of {original}" for copy, original in list(copies.items())[:5])
         notes.append(
             f"{len(copies)} frames are copies of others, pixel by pixel, and are left out: {shown}; check that the "
             "pose of the one that is kept is that of the picture"
@@ -246,7 +257,7 @@ def _notes_on(
 
 
 def _said(settings: Sequence[ThermographySettings]) -> str:
-    """What was done with the settings in radiometric JPEGs, as a sentence."""
+    """What was done with the settings in files of FLIR, as a sentence."""
     parts = []
     for name, label, unit in (("distance_m", "distance", " m"), ("air_c", "air", " °C"), ("humidity", "humidity", ""),
                               ("emissivity", "emissivity", "")):  # fmt: skip
@@ -254,7 +265,7 @@ def _said(settings: Sequence[ThermographySettings]) -> str:
         low, high = min(values), max(values)
         parts.append(f"{label} {low:g}{unit}" if low == high else f"{label} {low:g}–{high:g}{unit}")
     return (
-        f"the radiometric JPEGs correct the air by their own settings ({', '.join(parts[:3])}); their {parts[3]} is "
+        f"the files of FLIR correct the air by their own settings ({', '.join(parts[:3])}); their {parts[3]} is "
         "not used, since the scene has emissivities"
     )
 
@@ -268,7 +279,7 @@ def _common_lens(places: Sequence[Place]) -> Lens | None:
     return next(iter(lenses.values()))
 
 
-def _known(path: Path, kelvin: Floats) -> tuple[NDArray[np.float32], int]:
+def _known(path: str, kelvin: Floats) -> tuple[NDArray[np.float32], int]:
     """(A frame with NaN for what is not a temperature of a surface [K], number of such pixels with a value)."""
     given = ~np.isnan(kelvin)
     known = given & (kelvin >= RANGE_K[0]) & (kelvin <= RANGE_K[1])
