@@ -61,7 +61,7 @@ def test_poses_and_terrain_of_one_map_have_heights_of_one_zero(tmp_path):
         f"# CoordinateSystem: {CRS.from_epsg(2056).to_wkt()}\n"
         "#Label,X_est,Y_est,Z_est,Yaw_est,Pitch_est,Roll_est\na.tif,2507620,1139180,460,10,0,0\n"
     )
-    place = read_poses(poses, scene)["a"]
+    place = read_poses(poses)["a"]
     east, north, up = scene.frame.enu_from_geodetic(*place.horizontal, place.height_m)
     # Both are changed to WGS 84; the raster's change is interpolated over 240 m.
     assert up - scene.ground(east, north) == pytest.approx(40.0, abs=2e-3)

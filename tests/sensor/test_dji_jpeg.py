@@ -225,7 +225,7 @@ def test_frames_of_a_survey_are_read_with_the_air_of_the_scene_and_say_so(tmp_pa
         (tmp_path / "dry" / "scene.toml").write_text(text)
         scene = tr.load_scene(tmp_path / "dry")
         scene = scene.with_air("midlatitude-summer") if air == "atmosphere" else scene
-    survey = read_frames(frame_files([folder]), read_poses(tmp_path / "p.csv", scene), scene)
+    survey = read_frames(frame_files([folder]), read_poses(tmp_path / "p.csv"), scene)
     assert survey.air_removed == (False,)
     assert (survey.kelvin[0, 2:-1] == 300.0).all() and np.isnan(survey.kelvin[0, 0, :4]).all()
     read, moved = (each for each in survey.notes if "reading" in each or "DJI" in each)

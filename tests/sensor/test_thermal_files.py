@@ -18,7 +18,7 @@ import thermorender as tr
 from tests.robustness.fuzz.corpus import READERS
 from tests.robustness.fuzz.corpus.images import flir_container, flir_jpeg, jpeg_ls
 from thermorender.apps.survey.footage.calibration import footage, images_of
-from thermorender.apps.survey.inverse.frames import frame_files, read_frames
+from thermorender.apps.survey.inverse.frames import frame_files, places_of, read_frames
 from thermorender.apps.survey.inverse.pose_files import read_poses
 from thermorender.apps.training import pictures
 from thermorender.errors import ThermorenderError, ThermorenderWarning
@@ -293,7 +293,7 @@ def test_frames_of_a_sequence_have_poses_by_their_names_and_keep_their_air_remov
     (tmp_path / "p.csv").write_text(POSES + "".join(f"{name},{k},0,40,0,-90,0\n" for k, name in enumerate(names)))
     scene = tr.load_scene("heath/survey")
     files = frame_files([tmp_path / "walk.seq", tmp_path / "other.tif"])
-    survey = read_frames(files, read_poses(tmp_path / "p.csv", scene), scene)
+    survey = read_frames(files, read_poses(tmp_path / "p.csv"), scene)
     assert survey.names == ("other", "walk_000001", "walk_000003", "walk_000004")
     assert survey.air_removed == (False, True, True, True)
     assert list(survey.poses[:, 0, 3]) == [3.0, 0.0, 1.0, 2.0]
@@ -302,7 +302,7 @@ def test_frames_of_a_sequence_have_poses_by_their_names_and_keep_their_air_remov
     assert "1 frames have no pose and are left out: walk_000002" in survey.notes
     assert any("files of FLIR correct the air by their own settings (distance 10 m" in note for note in survey.notes)
     with pytest.raises(ThermorenderError, match=r"walk\.seq .*give the poses in a file"):
-        read_frames([tmp_path / "walk.seq"], None, scene)
+        read_frames([tmp_path / "walk.seq"], places_of([tmp_path / "walk.seq"]), scene)
 
 
 def test_frames_of_a_survey_are_held_once(tmp_path):
@@ -312,7 +312,7 @@ def test_frames_of_a_survey_are_held_once(tmp_path):
     rows = (f"walk_{k + 1:06d},{k},0,40,0,-90,0\n" for k in range(60))
     (tmp_path / "p.csv").write_text(POSES + "".join(rows))
     scene = tr.load_scene("heath/survey")
-    places = read_poses(tmp_path / "p.csv", scene)
+    places = read_poses(tmp_path / "p.csv")
     # What a scene and its poses hold is made first.
     read_frames([tmp_path / "walk.seq"], {"walk_000001": places["walk_000001"]}, scene)
     tracemalloc.start()

@@ -45,7 +45,7 @@ def read_flight(folder: Path, made: Path) -> tuple:
         base, name="flight", width=640, height=512, focal_length_mm=741.153 * base.pixel_pitch_um * 1e-3,
         principal_offset_px=(10.090, 8.539), distortion=(-0.02603, 0.23459, 0.003852, 0.008663, 0.18332),
     )  # fmt: skip
-    places = read_poses(folder / "poses.csv", scene)
+    places = read_poses(folder / "poses.csv")
     survey = read_frames(frame_files([folder / f"{name}.tif" for name in places]), places, scene, (0.001, 273.15))
     small = np.stack([binned(image, 2) for image in survey.kelvin]).astype(np.float32)
     camera = binned_camera(camera, 2)

@@ -229,7 +229,7 @@ def test_a_frame_that_stays_behind_is_registered_to_the_map(survey, fixed, tilt_
     images = np.array([linear.of(image) for image in flown.kelvin], np.float32)
     # Ground that changes between passes tilts the frame. Left in it, a tilt of 1 K would move it by 0.02 m.
     images[5] += tilt_k * tilting(found.camera)[0].reshape(images[5].shape)
-    problem = Problem(found.renderer, found.camera, images, poses, found.lattice, prior, settings)
+    problem = Problem(found.renderer, found.camera, images, poses, found.lattice, prior, settings, settings.pose_error)
     state = problem.register(replace(found.state, poses=poses))
     step, sight = deviation(state.poses[5], clean.poses[5]), problem.viewer.sight(clean.poses[5])
     miss = np.hypot(*(step @ sight.motion(*axis).mean(axis=1) for axis in ((1.0, 0.0), (0.0, 1.0))))
@@ -250,7 +250,7 @@ def test_one_joint_solution_finds_the_pose_of_a_blurred_frame(survey, fixed):
     # The map is known, so that the step is that of the pose alone.
     prior = Prior(found.state.map, np.full(found.state.map.shape, 1e6), np.zeros(found.state.map.shape, int), 1e6)
     settings = Settings(texel_m=1.0, pose_error=PoseError(1.0, 0.5), noise_k=NOISE_K)
-    problem = Problem(found.renderer, camera, images, poses, found.lattice, prior, settings)
+    problem = Problem(found.renderer, camera, images, poses, found.lattice, prior, settings, settings.pose_error)
     state = problem.round(replace(problem.start(), noise_k=NOISE_K))
     misses = []
     for pose in (poses[5], state.poses[5]):
@@ -387,7 +387,7 @@ def test_files_hold_the_reconstruction(survey, fixed, tmp_path):
     known = np.isfinite(found.kinetic)
     assert known.mean() > 0.4
     np.testing.assert_allclose(temperature[known], found.kinetic[known], atol=1e-3)
-    places = read_poses(tmp_path / "poses.csv", made)
+    places = read_poses(tmp_path / "poses.csv")
     names = [f"frame_{number:02d}" for number in range(12)]
     for name, kelvin in zip(names, found.survey.kelvin, strict=True):
         write_tlinear(tmp_path / f"{name}.tif", kelvin)

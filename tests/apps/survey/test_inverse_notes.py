@@ -22,6 +22,7 @@ from thermorender.apps.survey.inverse.normal import Prior, Sums, footprint
 from thermorender.apps.survey.inverse.notes import Level, notes_of
 from thermorender.apps.survey.inverse.poses import PoseError, deviation, moved, registered
 from thermorender.apps.survey.inverse.reconstruct import reconstruct
+from thermorender.apps.survey.inverse.shutter import Shutters
 from thermorender.apps.survey.inverse.solve import Settings, State
 from thermorender.apps.survey.inverse.spread import Draws, Spread
 from thermorender.apps.survey.inverse.weights import Viewer
@@ -35,6 +36,7 @@ pytestmark = pytest.mark.usefixtures("short_heat")
 
 COUNT = 8
 POND = Reference("pond", 0.0, 0.0, 1.0, 290.0, 0.1)
+STEADY = Shutters(np.zeros(0, np.intp), np.zeros(COUNT), 0.0, 0.0)
 
 
 def settled(poses=None, **changes):
@@ -56,7 +58,7 @@ def settled(poses=None, **changes):
 def said(level_of=None, pixel_m=0.1, times=("",) * COUNT, **changes):
     """The notes on frames of `settled`, in one text."""
     survey, state, spread = settled(**changes)
-    found = level_of or Level(0.0, [("pond", 0.0)], [POND])
+    found = level_of or Level(0.0, [("pond", 0.0)], [POND], STEADY)
     noon = np.datetime64("2021-07-01T12:00:00")
     return " ".join(notes_of(replace(survey, times=times), [], state, spread, Settings(), pixel_m, found, noon))
 
@@ -71,7 +73,19 @@ def test_frames_that_fit_their_map_have_no_note():
     # A frame that begins with a warm camera, a real residual, and moves of single frames are usual.
     poses = settled()[0].poses.copy()
     poses[3] = moved(poses[3], np.array([5.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    assert said(poses=poses, offsets=at(4, 8.0), noise_k=0.5, frames=at(2, 0.32, 0.1)) == ""
+    assert said(poses=poses, offsets=at(4, 8.0), noise_k=0.2, frames=at(2, 0.32, 0.1)) == ""
+
+
+def test_a_misfit_below_a_kelvin_is_stated_with_its_causes():
+    assert re.search(r"pixels differ from the map by 0\.50 K, 7\.1 times the noise", said(noise_k=0.5))
+
+
+def test_shutters_and_what_they_set_are_stated():
+    shutters = Shutters(np.array([2, 5]), np.zeros(COUNT), 6.3, -3.4)
+    text = said(Level(-3.4, [], [], shutters))
+    assert re.search(r"closed before f2, f5: offsets jump by 6\.3 K.*moves by -3\.4 K", text)
+    # A reference fixes the level, whatever the shutter says.
+    assert re.search(r"closed before f2, f5.*drift_k", said(Level(0.0, [("pond", 0.0)], [POND], shutters)))
 
 
 @pytest.mark.parametrize(
@@ -108,8 +122,8 @@ def test_frames_of_another_time_than_the_scene_s_weather_are_stated(time, fits):
 
 def test_references_that_contradict_each_other_or_the_camera_are_stated():
     pair = [POND, replace(POND, name="road")]
-    assert said(Level(1.0, [("pond", 0.2), ("road", -0.2)], pair)) == ""
-    text = said(Level(17.0, [("pond", -15.3), ("road", 22.9)], pair))
+    assert said(Level(1.0, [("pond", 0.2), ("road", -0.2)], pair, STEADY)) == ""
+    text = said(Level(17.0, [("pond", -15.3), ("road", 22.9)], pair, STEADY))
     assert "contradict each other beyond their standard deviations (pond -15.30 K, road +22.90 K)" in text
     assert "shift all temperatures by +17.0 K, more than calibrated cameras are off" in text
 

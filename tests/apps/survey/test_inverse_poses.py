@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import thermorender as tr
 from thermorender.apps.export.survey import geotiff
-from thermorender.apps.survey.inverse.frames import frame_files, poses_of, read_frames, xmp_values
+from thermorender.apps.survey.inverse.frames import frame_files, places_of, poses_of, read_frames, xmp_values
 from thermorender.apps.survey.inverse.level import read_references
 from thermorender.apps.survey.inverse.pose_files import read_poses
 from thermorender.apps.survey.inverse.poses import deviation
@@ -43,7 +43,7 @@ HEAD = "frame,east_m,north_m,above_ground_m,yaw_deg,pitch_deg,roll_deg\n"
 
 
 def test_csv_of_poses_is_the_scene_s_pose(scene, pose, tmp_path):
-    places = read_poses(written(tmp_path / "p.csv", HEAD + "a.tif,12,-7,60,30,-70,4\n"), scene)
+    places = read_poses(written(tmp_path / "p.csv", HEAD + "a.tif,12,-7,60,30,-70,4\n"))
     # Angles are those at the camera's place, and `Scene.pose` has those of the frame's origin.
     step = deviation(poses_of([places["a"]], scene)[0][0], pose)
     assert np.abs(step).max() < 1e-5
@@ -54,7 +54,8 @@ def test_tags_of_exported_frames_are_their_poses(scene, pose, tmp_path):
     frame = tr.Renderer(scene, quality="fast").frame(pose)
     frame.save(tmp_path / "frames" / "frame_000000.exr")
     geotiff(tmp_path / "frames", tmp_path / "survey")
-    survey = read_frames(frame_files([tmp_path / "survey"]), None, scene)
+    files = frame_files([tmp_path / "survey"])
+    survey = read_frames(files, places_of(files), scene)
     np.testing.assert_allclose(survey.poses[0][:3, 3], pose[:3, 3], atol=1e-2)
     assert np.abs(deviation(survey.poses[0], pose)[3:]).max() < 1e-6
     assert np.abs(survey.kelvin[0] - frame.apparent_temperature).max() < 0.006
@@ -68,7 +69,7 @@ def test_metashape_s_estimates_are_poses_on_the_map(scene, pose, tmp_path):
         f"# CoordinateSystem: {crs.to_wkt()}\n#Label,X/Easting,X_est,Y_est,Z_est,Yaw_est,Pitch_est,Roll_est\n"
         f"#Total error,,,,,,,\na.jpg,0,{x!r},{y!r},{float(height)!r},30,0,0\nlost.jpg,0,,,,,,\n"
     )
-    places = read_poses(written(tmp_path / "m.txt", text), scene)
+    places = read_poses(written(tmp_path / "m.txt", text))
     assert list(places) == ["a"]
     found = poses_of([places["a"]], scene)[0][0]
     np.testing.assert_allclose(found[:3, 3], pose[:3, 3], atol=1e-3)
@@ -87,7 +88,7 @@ def test_metashape_s_yaw_counts_from_geographic_north_and_kappa_from_that_of_the
     def heading(angles, columns):
         text = f"# CoordinateSystem: {crs.to_wkt()}\n#Label,X/Easting,Y/Northing,Z/Altitude,{columns}\n"
         row = f"a.jpg,{x!r},{y!r},{height!r},{angles}\n"
-        (place,) = read_poses(written(tmp_path / "m.txt", text + row), scene).values()
+        (place,) = read_poses(written(tmp_path / "m.txt", text + row)).values()
         north, east, _ = -place.rotation.as_matrix()[:, 1]
         return np.degrees(np.arctan2(east, north))
 
@@ -120,7 +121,7 @@ OTHER_DATUMS = {
 @pytest.mark.parametrize(("given", "expected"), OTHER_DATUMS.items(), ids=[str(code) for code, *_ in OTHER_DATUMS])
 def test_heights_above_the_ellipsoid_of_another_datum_become_wgs84(scene, tmp_path, given, expected):
     code, x, y = given
-    (place,) = read_poses(metashape(tmp_path / "m.txt", code, f"a,{x},{y},180,0,0,0"), scene).values()
+    (place,) = read_poses(metashape(tmp_path / "m.txt", code, f"a,{x},{y},180,0,0,0")).values()
     assert place.horizontal == pytest.approx(expected[:2], abs=1e-8)
     assert place.height_m == pytest.approx(expected[2], abs=1e-3)
 
@@ -132,7 +133,7 @@ def test_heights_of_a_datum_that_the_file_defines_become_wgs84(scene, tmp_path):
         f'GEOGCS["own",DATUM["own",SPHEROID["Bessel",{a},{1.0 / f!r}],'
         'TOWGS84[598.1,73.7,418.2,0.202,0.045,-2.455,6.7]],PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]]'
     )
-    (place,) = read_poses(metashape(tmp_path / "m.txt", wkt, "a,21.0,52.2,180,0,0,0"), scene).values()
+    (place,) = read_poses(metashape(tmp_path / "m.txt", wkt, "a,21.0,52.2,180,0,0,0")).values()
     square = f * (2.0 - f)
     radius = a / np.sqrt(1.0 - square * np.sin(latitude) ** 2)
     flat = (radius + 180.0) * np.cos(latitude)
@@ -159,17 +160,17 @@ def test_heights_of_a_datum_that_the_file_defines_become_wgs84(scene, tmp_path):
 )  # fmt: skip
 def test_poses_of_metashape_that_are_nowhere_are_named(scene, tmp_path, system, row, words):
     with pytest.raises(ThermorenderError, match=words):
-        read_poses(metashape(tmp_path / "m.txt", system, row), scene)
+        read_poses(metashape(tmp_path / "m.txt", system, row))
 
 
 def test_an_angle_of_a_csv_that_is_none_is_named(scene, tmp_path):
     with pytest.raises(ThermorenderError, match=r"pitch_deg=-1e\+308 is not an angle"):
-        read_poses(written(tmp_path / "p.csv", HEAD + "a,0,0,60,0,-1e308,0\n"), scene)
+        read_poses(written(tmp_path / "p.csv", HEAD + "a,0,0,60,0,-1e308,0\n"))
 
 
 def test_an_unknown_code_is_one_sentence_without_lines_of_gdal(scene, tmp_path, capfd):
     with pytest.raises(ThermorenderError, match="coordinate system cannot be read; export it in one with an EPSG code"):
-        read_poses(metashape(tmp_path / "m.txt", 99999, "a,0,0,0,0,0,0"), scene)
+        read_poses(metashape(tmp_path / "m.txt", 99999, "a,0,0,0,0,0,0"))
     content = {"type": "FeatureCollection", "features": [], "crs": {"properties": {"name": "EPSG:99999"}}}
     with pytest.raises(ThermorenderError):
         read_features(content)
@@ -185,14 +186,14 @@ def test_opensfm_s_shots_are_poses(scene, pose, tmp_path):
             "translation": (-camera_from_world.apply(origin)).tolist()}  # fmt: skip
     lla = {"latitude": away.latitude_deg, "longitude": away.longitude_deg, "altitude": 0.0}
     text = json.dumps([{"reference_lla": lla, "shots": {"a.tif": shot}}])
-    places = read_poses(written(tmp_path / "reconstruction.json", text), scene)
+    places = read_poses(written(tmp_path / "reconstruction.json", text))
     found = poses_of([places["a"]], scene)[0][0]
     np.testing.assert_allclose(found, pose, atol=1e-4)
 
 
 def test_heights_are_shifted_above_the_ground(scene, tmp_path):
     text = HEAD.replace("above_ground_m", "up_m") + "a,0,0,300,0,-90,0\nb,5,0,302,0,-90,0\n"
-    places = read_poses(written(tmp_path / "p.csv", text), scene)
+    places = read_poses(written(tmp_path / "p.csv", text))
     poses, notes = poses_of(list(places.values()), scene, 50.0)
     assert poses[0, 2, 3] - scene.ground(0.0, 0.0) == pytest.approx(50.0)
     assert poses[1, 2, 3] - poses[0, 2, 3] == pytest.approx(2.0)
@@ -211,18 +212,16 @@ def test_heights_are_shifted_above_the_ground(scene, tmp_path):
 )
 def test_bad_poses_are_refused(scene, tmp_path, text, words):
     with pytest.raises(ThermorenderError, match=words):
-        read_poses(written(tmp_path / "p.csv", text), scene)
+        read_poses(written(tmp_path / "p.csv", text))
 
 
 def test_a_file_of_other_json_is_refused(scene, tmp_path):
     with pytest.raises(ThermorenderError, match=r"is neither a reconstruction\.json|has no shots"):
-        read_poses(written(tmp_path / "a.json", '{"type": "FeatureCollection"}'), scene)
+        read_poses(written(tmp_path / "a.json", '{"type": "FeatureCollection"}'))
 
 
 def test_frames_below_the_terrain_are_refused(scene, tmp_path):
-    places = read_poses(
-        written(tmp_path / "p.csv", HEAD.replace("above_ground_m", "up_m") + "a,0,0,-99,0,-90,0\n"), scene
-    )
+    places = read_poses(written(tmp_path / "p.csv", HEAD.replace("above_ground_m", "up_m") + "a,0,0,-99,0,-90,0\n"))
     with pytest.raises(ThermorenderError, match="above_ground"):
         poses_of(list(places.values()), scene)
 

@@ -115,7 +115,7 @@ def test_tags_that_are_no_pose_are_refused(tmp_path, gps, values, words):
 )
 def test_tables_of_other_forms_are_refused(scene, tmp_path, text, words):
     with pytest.raises(ThermorenderError, match=words):
-        read_poses(written(tmp_path / "p.csv", text), scene)
+        read_poses(written(tmp_path / "p.csv", text))
     if "frame" not in words and "2 times" not in words:
         table = text.replace("frame,", "name,").replace("frame;", "name;")
         with pytest.raises(ThermorenderError):
@@ -124,7 +124,7 @@ def test_tables_of_other_forms_are_refused(scene, tmp_path, text, words):
 
 def test_blanks_and_a_byte_order_mark_are_no_values(scene, tmp_path):
     text = "\ufeff" + HEAD.replace(",", ", ") + "\na.tif, 1, +2, 40, -370, -90, 0\n"
-    (place,) = read_poses(written(tmp_path / "p.csv", text), scene).values()
+    (place,) = read_poses(written(tmp_path / "p.csv", text)).values()
     assert (place.horizontal, place.height_m) == ((1.0, 2.0), 40.0)
 
 
@@ -136,10 +136,10 @@ def test_places_and_heights_that_cannot_be_are_refused(scene, tmp_path):
         ("a,5780000,500000,40,0,-90,0\n", "is not a place"),
     ):
         text = HEAD.replace("east_m,north_m", "lat_deg,lon_deg") + row
-        places = read_poses(written(tmp_path / "p.csv", text), scene)
+        places = read_poses(written(tmp_path / "p.csv", text))
         with pytest.raises(ThermorenderError, match=words):
             poses_of(list(places.values()), scene)
-    places = read_poses(written(tmp_path / "p.csv", HEAD + "a,0,0,40,0,-90,0\nb,0,0,-40,0,-90,0\n"), scene)
+    places = read_poses(written(tmp_path / "p.csv", HEAD + "a,0,0,40,0,-90,0\nb,0,0,-40,0,-90,0\n"))
     with pytest.raises(ThermorenderError, match="frame 2 of 2 is 40 m below the terrain"):
         poses_of(list(places.values()), scene)
     with pytest.raises(ThermorenderError, match="above_ground_m=-5"):
@@ -161,7 +161,7 @@ def test_places_and_heights_that_cannot_be_are_refused(scene, tmp_path):
 def test_systems_and_angles_of_metashape_that_are_not_read_are_named(scene, tmp_path, system, columns, words):
     text = f"# CoordinateSystem: {system}\n#Label,{columns}\na,21.0,52.2,180,0,0,0\n"
     with pytest.raises(ThermorenderError, match=words):
-        read_poses(written(tmp_path / "m.txt", text), scene)
+        read_poses(written(tmp_path / "m.txt", text))
 
 
 # (omega, phi, kappa) and (yaw, pitch, roll) of the optical axis [deg]. Down with the top to north and to 30°, ahead to
@@ -175,10 +175,10 @@ def test_omega_phi_kappa_are_the_angles_of_the_optical_axis(scene, tmp_path, tur
     expected = camera_rotation(*angles).as_matrix()
     head = HEAD.replace("yaw_deg,pitch_deg,roll_deg", "omega_deg,phi_deg,kappa_deg")
     row = ",".join(map(str, turns))
-    (own,) = read_poses(written(tmp_path / "p.csv", f"{head}a,1,2,40,{row}\n"), scene).values()
+    (own,) = read_poses(written(tmp_path / "p.csv", f"{head}a,1,2,40,{row}\n")).values()
     columns = "X/Longitude,Y/Latitude,Z/Altitude,Omega,Phi,Kappa"
     text = f"# CoordinateSystem: {WGS84}\n#Label,{columns}\na,21.0,52.2,180,{row}\n"
-    (metashape,) = read_poses(written(tmp_path / "m.txt", text), scene).values()
+    (metashape,) = read_poses(written(tmp_path / "m.txt", text)).values()
     np.testing.assert_allclose(own.rotation.as_matrix(), expected, atol=1e-12)
     np.testing.assert_allclose(metashape.rotation.as_matrix(), expected, atol=1e-12)
 
@@ -219,8 +219,8 @@ def odm_project(scene):
 
 def test_shots_and_reconstruction_of_one_project_are_the_same_poses(scene, tmp_path):
     whole, shots = odm_project(scene)
-    one = read_poses(written(tmp_path / "reconstruction.json", json.dumps(whole)), scene)
-    other = read_poses(written(tmp_path / "shots.geojson", json.dumps(shots)), scene)
+    one = read_poses(written(tmp_path / "reconstruction.json", json.dumps(whole)))
+    other = read_poses(written(tmp_path / "shots.geojson", json.dumps(shots)))
     assert list(one) == list(other) == ["DJI_0001", "b"]
     first, second = (poses_of(list(places.values()), scene)[0] for places in (one, other))
     # OpenDroneMap's map is linear about the origin of the project.
@@ -236,17 +236,17 @@ def test_shots_away_from_their_coordinates_are_refused(scene, tmp_path):
     _, shots = odm_project(scene)
     shots["features"][1]["geometry"]["coordinates"][:2] = shots["features"][1]["geometry"]["coordinates"][1::-1]
     with pytest.raises(ThermorenderError, match=r"of b is not at its translation.*reconstruction\.json"):
-        read_poses(written(tmp_path / "shots.geojson", json.dumps(shots)), scene)
+        read_poses(written(tmp_path / "shots.geojson", json.dumps(shots)))
     del shots["features"][0]["properties"]["rotation"]
     with pytest.raises(ThermorenderError, match="KeyError: 'rotation'"):
-        read_poses(written(tmp_path / "shots.geojson", json.dumps(shots)), scene)
+        read_poses(written(tmp_path / "shots.geojson", json.dumps(shots)))
 
 
 def test_frames_of_two_lenses_are_refused(scene, tmp_path):
     whole, _ = odm_project(scene)
     whole[0]["cameras"]["d"] = LENS | {"k1": 0.0}
     whole[0]["shots"]["b.tif"]["camera"] = "d"
-    places = read_poses(written(tmp_path / "reconstruction.json", json.dumps(whole)), scene)
+    places = read_poses(written(tmp_path / "reconstruction.json", json.dumps(whole)))
     for name in places:
         tiff(tmp_path / f"{name}.tif", np.full((4, 5), 290.0, np.float32), unit="K")
     with pytest.raises(ThermorenderError, match=r"different lenses.*'c'.*'d'"):
@@ -377,7 +377,7 @@ def test_hidden_files_of_a_folder_are_not_frames(tmp_path):
 
 def test_names_that_differ_between_poses_and_frames_are_shown(scene, tmp_path):
     tiff(tmp_path / "dji_1.tif", np.full((4, 5), 290.0, np.float32), unit="K")
-    places = read_poses(written(tmp_path / "p.csv", HEAD + "DJI_1.DNG,0,0,40,0,-90,0\n"), scene)
+    places = read_poses(written(tmp_path / "p.csv", HEAD + "DJI_1.DNG,0,0,40,0,-90,0\n"))
     with pytest.raises(ThermorenderError, match=r"it names DJI_1\.DNG, and the frames are dji_1\.tif; write"):
         read_frames(frame_files([tmp_path]), places, scene)
 
@@ -441,11 +441,11 @@ def test_metashape_in_wgs84_with_heights_is_read_and_other_heads_are_named(scene
     """EPSG:4979 has the three axes of EPSG:4326 and a height, and so the same places."""
     columns, row = "X/Longitude,Y/Latitude,Z/Altitude,Yaw,Pitch,Roll", "a,21.0,52.2,180,10,1,2"
     found = [
-        read_poses(written(tmp_path / "m.txt", f"# CoordinateSystem: {system}\n#Label,{columns}\n{row}\n"), scene)["a"]
+        read_poses(written(tmp_path / "m.txt", f"# CoordinateSystem: {system}\n#Label,{columns}\n{row}\n"))["a"]
         for system in (WGS84, WGS84.replace('"4326"', '"4979"'))
     ]
     assert found[0].horizontal == pytest.approx(found[1].horizontal) and found[0].height_m == found[1].height_m
     np.testing.assert_allclose(found[0].rotation.as_matrix(), found[1].rotation.as_matrix(), atol=1e-12)
     text = f"# CoordinateSystem: {WGS84}\n#Labels,{columns}\n{row}\n"
     with pytest.raises(ThermorenderError, match=r"has the columns Labels, .*, not a label with positions"):
-        read_poses(written(tmp_path / "m.txt", text), scene)
+        read_poses(written(tmp_path / "m.txt", text))

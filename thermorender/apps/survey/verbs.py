@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 
 from thermorender import defaults, files
-from thermorender.cli.options import SceneName
 from thermorender.cli.terminal import output_option, progress
 from thermorender.errors import ThermorenderError
 from thermorender.numbers import parse_numbers, parse_scale
@@ -39,8 +38,10 @@ def fit_camera(frames: Frames, output: Output, base: Base = defaults.CAMERA, sca
 
 
 def reconstruct(
-    scene: SceneName,
-    frames: Frames,
+    inputs: Annotated[
+        list[str], typer.Argument(metavar="[SCENE] FRAMES...", help="Scene folder or name, then frames or folders of "
+                                  "them; without a scene, level ground with the relief that the frames show.")
+    ],
     output: Annotated[
         Path,
         output_option("-o", "--output", help="New folder, or one to continue.", check=lambda path: _check(path)),
@@ -51,18 +52,20 @@ def reconstruct(
                      "shots.geojson; default: the frames' EXIF and XMP tags."),
     ] = None,
     camera: Annotated[
-        str | None, typer.Option(help="Camera that took them: a model or its .toml file; default: the scene's.")
+        str | None, typer.Option(help="Camera that took them: a model or its .toml file; default: the scene's, or size "
+                                 "and focal length of the frames' tags.")
     ] = None,
     lens: Annotated[
         Path | None, typer.Option(help="Lens of the frames: cameras.json of OpenDroneMap or Metashape's calibration as "
-                                  ".xml; default: that of reconstruction.json, or the camera's.")
+                                  ".xml; default: that of reconstruction.json, otherwise fitted.")
     ] = None,
     texel_m: Annotated[
-        float | None, typer.Option(help="Side of a texel of the map [m]; default: the scene's texel.")
+        float | None, typer.Option(help="Side of a texel of the map [m]; default: the scene's texel, or 1.25 pixels.")
     ] = None,
     pose_error: Annotated[
-        str, typer.Option(help="METRES,DEGREES: standard deviations of the poses; 0,0 keeps them.")
-    ] = "1,0.7",
+        str | None, typer.Option(help="METRES,DEGREES: standard deviations of the poses; 0,0 keeps them and the lens; "
+                                 "default: 1,0.7, or 0.1,0.7 with RTK.")
+    ] = None,
     above_ground: Annotated[
         float | None, typer.Option(help="Height of the first frame above the terrain [m]; shifts all heights.")
     ] = None,
@@ -71,16 +74,19 @@ def reconstruct(
     ] = None,
     scale: Scale = None,
 ) -> None:  # fmt: skip
-    """Reconstruct a map of temperatures with its uncertainty, and corrected poses, from the frames of a survey."""
+    """Reconstruct a map of temperatures with its uncertainty, corrected poses and the lens, from frames of a survey."""
     from thermorender.apps.survey.inverse.run import Inputs, run
 
-    metres, degrees = parse_numbers("--pose-error", pose_error, ("METRES", "DEGREES"))
-    if min(metres, degrees) < 0.0:
-        raise ThermorenderError(f"--pose-error={pose_error} is not allowed; give numbers from 0 on")
-    inputs = Inputs(scene, tuple(frames), poses, camera, texel_m, (metres, degrees), above_ground, references,
-                    parse_scale(scale), lens)  # fmt: skip
+    error = None
+    if pose_error is not None:
+        metres, degrees = parse_numbers("--pose-error", pose_error, ("METRES", "DEGREES"))
+        if min(metres, degrees) < 0.0:
+            raise ThermorenderError(f"--pose-error={pose_error} is not allowed; give numbers from 0 on")
+        error = metres, degrees
+    scene, frames = _parted(inputs)
+    given = Inputs(frames, scene, poses, camera, texel_m, error, above_ground, references, parse_scale(scale), lens)
     with progress() as report:
-        facts = run(inputs, output, report)
+        facts = run(given, output, report)
     typer.echo(
         f"{facts['frames']} frames: a texel is known to {facts['std_median_k']:.3f} K in the median, the common level "
         f"to {facts['level_std_k']:.2f} K from {facts['level_of']}"
@@ -88,6 +94,17 @@ def reconstruct(
     for note in facts["notes"]:
         typer.echo(f"note: {note}", err=True)
     typer.echo(f"look at {output / 'report.html'}; {output / 'scene'} is the scene with these temperatures")
+
+
+def _parted(inputs: list[str]) -> tuple[str | None, tuple[Path, ...]]:
+    """(scene or None, frames) of the arguments: the first is a scene if it is one's folder, or no path and a name."""
+    first, *rest = inputs
+    path = Path(first)
+    if not (path / "scene.toml").is_file() and (path.exists() or not (rest or first in defaults.SCENES)):
+        return None, tuple(map(Path, inputs))
+    if not rest:
+        raise ThermorenderError(f"{first} is a scene; give frames, or folders of them, after it")
+    return first, tuple(map(Path, rest))
 
 
 def _check(path: Path) -> None:

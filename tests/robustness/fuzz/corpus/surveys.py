@@ -213,7 +213,7 @@ def _poses(path):
     from thermorender.apps.survey.inverse.pose_files import read_poses
 
     return [
-        (place.horizontal, place.height_m, place.rotation.as_matrix()) for place in read_poses(path, _SCENE).values()
+        (place.horizontal, place.height_m, place.rotation.as_matrix()) for place in read_poses(path).values()
     ]
 
 

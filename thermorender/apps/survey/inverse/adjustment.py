@@ -6,8 +6,9 @@ so both are told apart. Source: Triggs, McLauchlan, Hartley and Fitzgibbon, Bund
 2000, doi:10.1007/3-540-44480-7_21.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,9 @@ from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
 from thermorender import Camera
-from thermorender.apps.survey.inverse.matches import Ground, Matches, View, detailed, matched
+from thermorender.apps.survey.inverse.matches import Matches, View, detailed, matched
 from thermorender.apps.survey.inverse.poses import PoseError
-from thermorender.errors import ThermorenderError
+from thermorender.apps.survey.inverse.relief import Relief
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], object]
@@ -35,8 +36,6 @@ _SPAN_M, _LENS_STEPS = 0.2, np.array([0.1, 0.1, 0.1, 1e-4, 1e-4])
 _WIDE, _NARROW, _SIGMAS = 14, 6, 4.0
 # Fewer matches than this per frame do not hold its pose.
 _LEAST_MATCHES = 8
-# Posts with a smaller share of a node's weight take those of a wider circle.
-_NEAR = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +54,7 @@ class Adjusted:
         Of position [m] and angle [rad], each along an axis, in the median over frames and against the stated poses.
     residual_px : float
         Standard deviation of a match along an axis, robust.
-    ground : callable
+    ground : Relief
         The ground that the nodes stand on: that which was assumed, or the relief of the matches before the last.
     nodes : (K, 2) float64
         East and north of points of the ground [m].
@@ -70,15 +69,20 @@ class Adjusted:
     poses: Floats
     pose_std: Floats
     residual_px: float
-    ground: Ground
+    ground: Relief
     nodes: Floats
     heights: Floats
     height_std: Floats
     held: NDArray[np.bool_]
 
+    @property
+    def relief(self) -> Relief:
+        """The ground with the heights of the nodes."""
+        return Relief.of(self.nodes, self.heights, self.height_std, self.ground)
+
 
 def adjusted(
-    kelvin: NDArray[np.float32], camera: Camera, poses: Floats, error: PoseError, ground: Ground, height_m: float,
+    kelvin: NDArray[np.float32], camera: Camera, poses: Floats, error: PoseError, ground: Relief, height_m: float,
     fit_lens: bool = True, fit_ground: bool = False, progress: Progress | None = None,
 ) -> Adjusted:  # fmt: skip
     """Return the Adjusted of frames.
@@ -92,8 +96,8 @@ def adjusted(
         As measured.
     error : PoseError
         Of the measured poses.
-    ground : callable
-        Heights of the ground that is assumed, NaN beyond it.
+    ground : Relief
+        The ground that is assumed.
     height_m : float
         Standard deviation of the ground about it [m].
     fit_lens, fit_ground : bool
@@ -117,12 +121,31 @@ def adjusted(
         cell, reach = finest * 2.0 ** max(level, 0), _WIDE if level == levels else _NARROW
         share = (levels - level) / (levels + 2)
         matches = matched(images, view, cell, reach, _scaled(progress, share, 1.0 / (levels + 2)))
-        found = _solved(matches, view, camera, poses, error, height_m, fit_lens)
+        found = _solved(matches, view, ground, camera, poses, error, height_m, fit_lens)
         if fit_ground and level >= 0:
-            ground = Relief.of(found)
+            ground = found.relief
         view = View(found.camera, found.poses, ground)
     assert found is not None
     return found
+
+
+def arrays_of(found: Adjusted) -> dict[str, NDArray[np.generic]]:
+    """Return an Adjusted as named arrays, for `adjusted_from`."""
+    ground = found.ground
+    place = np.array([ground.west, ground.south, ground.step_m])
+    own = {"lens": lens_of(found.camera), "place": place, "up": ground.up}
+    kept = ("lens_std", "poses", "pose_std", "residual_px", "nodes", "heights", "height_std", "held")
+    return own | {name: np.asarray(getattr(found, name)) for name in kept}
+
+
+def adjusted_from(arrays: Mapping[str, NDArray[np.generic]], camera: Camera) -> Adjusted:
+    """Return the Adjusted of `arrays_of` for frames of a nominal camera."""
+    own: dict[str, Any] = dict(arrays)
+    lens, place, up = (own.pop(name) for name in ("lens", "place", "up"))
+    west, south, step_m = (float(value) for value in place)
+    ground = Relief(west, south, step_m, up)
+    residual_px = float(own.pop("residual_px"))
+    return Adjusted(with_lens(camera, lens - lens_of(camera)), residual_px=residual_px, ground=ground, **own)
 
 
 def _scaled(progress: Progress | None, start: float, share: float) -> Progress | None:
@@ -142,7 +165,7 @@ class _Equations:
         seen[node, first] = seen[node, second] = True
         number = np.bincount(node, minlength=len(seen))
         # A node in n frames has n(n−1)/2 matches of which n−1 are independent.
-        self.share = ((seen.sum(axis=1) - 1) / np.maximum(number, 1))[node]
+        self.share = ((seen.sum(axis=1) - 1) / np.maximum(number, 1))[node] / matches.alike
         poses = [6 * each[:, None] + np.arange(6) for each in (first, second)]
         common = np.broadcast_to(6 * frames + np.arange(5), (len(first), 5))
         # The parameters (N, 12 or 17) that each match depends on.
@@ -219,7 +242,8 @@ def lens_of(camera: Camera) -> Floats:
 
 
 def _solved(
-    matches: Matches, view: View, nominal: Camera, measured: Floats, error: PoseError, height_m: float, fit_lens: bool
+    matches: Matches, view: View, ground: Relief, nominal: Camera, measured: Floats, error: PoseError, height_m: float,
+    fit_lens: bool,
 ) -> Adjusted:  # fmt: skip
     """Gauss–Newton steps from a View to the Adjusted of its matches."""
     frames = len(measured)
@@ -232,7 +256,7 @@ def _solved(
     pose_std = np.array([np.median(own[:, :3]), np.median(own[:, 3:])])
     return Adjusted(
         view.camera, parameters[6 * frames :] if fit_lens else np.zeros(5), view.poses, pose_std, residual,
-        view.ground, matches.nodes, heights, height_std, number >= _LEAST_MATCHES,
+        ground, matches.nodes, heights, height_std, number >= _LEAST_MATCHES,
     )  # fmt: skip
 
 
@@ -287,7 +311,7 @@ def _settled(
         if np.sqrt(np.mean(change**2 * reduced.diagonal())) < _SETTLED:
             break
     covariance = np.linalg.inv(reduced)
-    spread = 1.0 / own + np.asarray(taken.multiply((covariance @ taken.toarray())).sum(axis=0)).ravel()
+    spread = 1.0 / own + np.asarray(taken.multiply(covariance @ taken.toarray()).sum(axis=0)).ravel()
     seen = np.bincount(node, weight > 0.0, size) > 0
     return view, covariance, sigma, np.where(seen, heights, np.nan), np.sqrt(spread)
 
@@ -313,58 +337,3 @@ def _prior(step: Floats, precision: Floats) -> Floats:
         away = (step[:, part] ** 2 * precision[part]).sum(axis=1) / 3.0
         found[:, part] /= (1.0 + away / _MISSTATED**2)[:, None]
     return found
-
-
-@dataclass(frozen=True, eq=False)
-class Relief:
-    """Heights on posts, bilinear between them and constant beyond; callable as a ground."""
-
-    west: float  # East of the first post [m]
-    south: float  # North of the first post [m]
-    step_m: float
-    up: Floats  # (rows northwards, columns eastwards) float64 [m]
-
-    @classmethod
-    def of(cls, found: Adjusted) -> "Relief":
-        """Return the ground of an Adjusted with the weighted means of the nodes' heights around each post."""
-        from scipy.ndimage import gaussian_filter
-
-        known = np.isfinite(found.heights)
-        nodes, heights, std = (each[known] for each in (found.nodes, found.heights, found.height_std))
-        low, high = nodes.min(axis=0), nodes.max(axis=0)
-        # Nodes are on a grid.
-        step_m = float(np.median(np.diff(np.unique(found.nodes[:, 0]))))
-        shape = tuple(np.ceil((high - low) / step_m).astype(int) + 1)[::-1]
-        column, row = np.rint((nodes - low) / step_m).astype(int).T
-        weight, total = np.zeros(shape), np.zeros(shape)
-        np.add.at(weight, (row, column), 1.0 / std**2)
-        np.add.at(total, (row, column), heights / std**2)
-        mean, width = np.zeros(shape), 0.7
-        filled = np.zeros(shape, bool)
-        # Around each post as near as there are nodes.
-        while not filled.all():
-            near, sums = gaussian_filter(weight, width), gaussian_filter(total, width)
-            new = ~filled & (near > _NEAR * weight[weight > 0.0].min())
-            mean[new] = sums[new] / near[new]
-            filled |= new
-            width *= 2.0
-        east, north = np.meshgrid(low[0] + step_m * np.arange(shape[1]), low[1] + step_m * np.arange(shape[0]))
-        base = found.ground(east.ravel(), north.ravel()).reshape(shape)
-        return cls(float(low[0]), float(low[1]), step_m, base + mean)
-
-    @classmethod
-    def sampled(cls, ground: Ground, low: Floats, high: Floats, step_m: float) -> "Relief":
-        """Return a ground on posts from `low` to `high` (2,), east and north [m], which is quicker to ask."""
-        columns, rows = np.ceil((high - low) / step_m).astype(int) + 1
-        east, north = np.meshgrid(low[0] + step_m * np.arange(columns), low[1] + step_m * np.arange(rows))
-        up = np.asarray(ground(east.ravel(), north.ravel()), np.float64)
-        return cls(float(low[0]), float(low[1]), step_m, up.reshape(rows, columns))
-
-    def __call__(self, east: Floats, north: Floats) -> Floats:
-        """Return the heights (N,) at east and north (N,)."""
-        from scipy.ndimage import map_coordinates
-
-        place = np.stack([(north - self.south) / self.step_m, (east - self.west) / self.step_m])
-        inside = np.isfinite(place).all(axis=0)
-        found = map_coordinates(self.up, np.where(inside, place, 0.0), order=1, mode="nearest")
-        return np.where(inside, found, np.nan)

@@ -95,6 +95,8 @@ class Survey:
         Of all frames, if their poses came with one.
     air_removed : tuple of bool
         Whether the file of a frame removed the air between camera and ground; empty if none did.
+    stated : (F, 4, 4) float64 or None
+        The poses as measured, where `poses` are those of an adjustment.
     """
 
     names: tuple[str, ...]
@@ -104,6 +106,12 @@ class Survey:
     notes: tuple[str, ...] = ()
     lens: Lens | None = None
     air_removed: tuple[bool, ...] = ()
+    stated: Floats | None = None
+
+    @property
+    def measured(self) -> Floats:
+        """The poses (F, 4, 4) of the file or the tags."""
+        return self.poses if self.stated is None else self.stated
 
 
 def frame_files(paths: Iterable[Path]) -> list[Path]:
@@ -133,8 +141,13 @@ def frame_files(paths: Iterable[Path]) -> list[Path]:
     return found
 
 
+def places_of(files: Sequence[Path]) -> dict[str, Place]:
+    """Return {name of a frame: Place} of files by their own tags."""
+    return {frame.name: tagged_place(frame.path) for frame in thermal_frames(files)}
+
+
 def read_frames(
-    files: Sequence[Path], places: Mapping[str, Place] | None, scene: Scene, scale: tuple[float, float] | None = None,
+    files: Sequence[Path], places: Mapping[str, Place], scene: Scene, scale: tuple[float, float] | None = None,
     above_ground_m: float | None = None,
 ) -> Survey:  # fmt: skip
     """Return the Survey of frames.
@@ -143,8 +156,8 @@ def read_frames(
     ----------
     files : sequence of Path
         As from `frame_files`.
-    places : dict, optional
-        {name of a frame without suffix: Place}, as from `pose_files.read_poses`; by default each file's own tags.
+    places : dict
+        {name of a frame without suffix: Place}, as from `pose_files.read_poses` or `places_of`.
     scene : Scene
         Its place and terrain.
     scale : (2,) floats, optional
@@ -157,7 +170,7 @@ def read_frames(
     ThermorenderError
         A file that cannot be read, frames of different sizes, a frame without pose, or a scene without a place.
     """
-    frames, own, notes = _with_places(thermal_frames(files), places)
+    frames, notes = _with_places(thermal_frames(files), places)
     for path in dict.fromkeys(frame.path for frame in frames):
         check_upright(path)
     air_c = _air_of(scene)
@@ -165,7 +178,7 @@ def read_frames(
     images = thermal_images(frames, scale, "air", air_c)
     kelvin, read, invalid, copies = _gathered(frames, images)
     notes += _notes_on(invalid, read, copies, air_c)
-    chosen = [own[image.frame.name] for image in read]
+    chosen = [places[image.frame.name] for image in read]
     poses, said = poses_of(chosen, scene, above_ground_m)
     names = tuple(image.frame.name for image in read)
     times = tuple(place.time or tagged_time(image.frame.path) for image, place in zip(read, chosen, strict=True))
@@ -174,22 +187,19 @@ def read_frames(
 
 
 def _with_places(
-    frames: Sequence[ThermalFrame], places: Mapping[str, Place] | None
-) -> tuple[Sequence[ThermalFrame], dict[str, Place], list[str]]:
-    """(frames that have a Place, the Places by name, notes on the others)."""
-    if places is None:
-        return frames, {frame.name: tagged_place(frame.path) for frame in frames}, []
-    own = dict(places)
-    missing = [frame.label for frame in frames if frame.name not in own]
+    frames: Sequence[ThermalFrame], places: Mapping[str, Place]
+) -> tuple[Sequence[ThermalFrame], list[str]]:
+    """(frames that have a Place, notes on the others)."""
+    missing = [frame.label for frame in frames if frame.name not in places]
     notes = []
     if missing:
         notes.append(f"{len(missing)} frames have no pose and are left out: {', '.join(missing[:5])}")
     if len(missing) == len(frames):
         raise ThermorenderError(
-            f"no frame has a pose in the file of poses: it names {', '.join(sorted(own)[:3])}, and the frames are "
+            f"no frame has a pose in the file of poses: it names {', '.join(sorted(places)[:3])}, and the frames are "
             f"{', '.join(missing[:3])}; write the frames' names, with the same capitals, into the file"
         )
-    return [frame for frame in frames if frame.name in own], own, notes
+    return [frame for frame in frames if frame.name in places], notes
 
 
 def _air_of(scene: Scene) -> float | None:

@@ -8,7 +8,7 @@ frames, so that many frames tell the height of one node.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,10 @@ Image = NDArray[np.float32]
 # Heights (N,) [m] at east, north (N,) [m]; NaN beyond the ground.
 Ground = Callable[[Floats, Floats], Floats]
 Progress = Callable[[str, float], object]
-# Structure coarser than this is left out of a frame, as share of its height; side of a patch, and half of it [cells].
-_COARSEST, _HALF = 1.0 / 25.0, 16
+# Structure coarser than this is left out of a frame, as share of its height.
+_COARSEST = 1.0 / 25.0
+# Half of a patch [cells]: at most, at least, and as share of the shorter side of a footprint.
+_HALF, _LEAST_HALF, _SHARE = 16, 6, 1.0 / 8.0
 # Nodes along the longer side of a frame's footprint.
 _NODES = 20
 # Lowest correlation that is believed, and highest share of it that a second place may have.
@@ -50,6 +52,7 @@ class Matches(NamedTuple):
     first_px: Floats
     second_px: Floats
     nodes: Floats  # (K, 2) east, north of the nodes [m]
+    alike: float = 1.0  # Matches around a node that share most of their pixels
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,33 +151,27 @@ def matched(
     ThermorenderError
         No two frames show the same patch.
     """
-    import cv2
-
     feet = view.footprints()
     finest = view.cell_m()
-    laid = _Laid(images, view, cell_m, feet, 0.4 * cell_m / finest if cell_m > 1.5 * finest else 0.0)
-    side = np.nanmedian(feet[:, 1] - feet[:, 0], axis=0)
-    step = max(int(np.ceil(side.max() / _NODES / cell_m)), 4)
+    side = np.nanmedian(feet[:, 1] - feet[:, 0], axis=0) / cell_m
+    half = int(np.clip(_SHARE * np.nan_to_num(side.min()), _LEAST_HALF, _HALF))
+    step = max(int(np.ceil(np.nan_to_num(side.max()) / _NODES)), 4)
+    blur_px = 0.4 * cell_m / finest if cell_m > 1.5 * finest else 0.0
+    laid = _Laid(images, view, cell_m, feet, blur_px, half, half + reach)
     found: list[tuple[int, int, int, int, float, float]] = []
     pairs = _pairs(feet)
-    room = np.ones((2 * _HALF + 1,) * 2, np.uint8)
-    wide = np.ones((2 * (_HALF + reach) + 1,) * 2, np.uint8)
     for number, (first, second) in enumerate(pairs):
-        (top, left), image = laid(first)
-        (upper, lefter), other = laid(second)
-        whole = cv2.erode(np.isfinite(image).astype(np.uint8), room, borderType=cv2.BORDER_CONSTANT, borderValue=0)
-        open_ = cv2.erode(np.isfinite(other).astype(np.uint8), wide, borderType=cv2.BORDER_CONSTANT, borderValue=0)
-        rows = np.arange(max(top, upper), min(top + len(image), upper + len(other)))
-        columns = np.arange(max(left, lefter), min(left + image.shape[1], lefter + other.shape[1]))
+        one, other = laid(first), laid(second)
+        away = half + reach
+        rows = np.arange(max(one.top, other.top + away), min(one.bottom, other.bottom - away))
+        columns = np.arange(max(one.left, other.left + away), min(one.right, other.right - away))
         for row in rows[rows % step == 0]:
             for column in columns[columns % step == 0]:
-                i, j, k, l = row - top, column - left, row - upper, column - lefter
-                if not (whole[i, j] and open_[k, l]):
+                here, there = ((row - each.top, column - each.left) for each in (one, other))
+                if not one.whole[here]:
                     continue
-                patch = image[i - _HALF : i + _HALF + 1, j - _HALF : j + _HALF + 1]
-                away = _HALF + reach
-                shift = _shift(other[k - away : k + away + 1, l - away : l + away + 1], patch, reach)
-                if shift is not None:
+                shift = _shift(_around(other.values, there, away), _around(one.values, here, half), reach)
+                if shift is not None and other.whole[there[0] + round(shift[0]), there[1] + round(shift[1])]:
                     found.append((first, second, row, column, *shift))
         if progress is not None:
             progress("comparing the frames", (number + 1) / len(pairs))
@@ -183,14 +180,15 @@ def matched(
             "no two frames show the same ground where their poses have it; check the poses and their error, the focal "
             "length and the height above the ground, or give frames that overlap by half or more"
         )
-    return _matches(found, view, cell_m)
+    return _matches(found, view, cell_m, max(1.0, ((2 * half + 1) / step) ** 2))
 
 
-def _matches(found: Sequence[tuple[int, int, int, int, float, float]], view: View, cell_m: float) -> Matches:
+def _matches(found: Sequence[tuple[int, int, int, int, float, float]], view: View, cell_m: float, alike: float
+) -> Matches:  # fmt: skip
     table = np.array(found)
     first, second = table[:, 0].astype(np.intp), table[:, 1].astype(np.intp)
     cells, node = np.unique(table[:, 2:4].astype(np.int64), axis=0, return_inverse=True)
-    nodes = (cells[:, ::-1] + 0.5) * cell_m
+    nodes = np.asarray((cells[:, ::-1] + 0.5) * cell_m, np.float64)
     place = nodes[node.ravel()]
     there = place + table[:, :3:-1] * cell_m
 
@@ -199,7 +197,7 @@ def _matches(found: Sequence[tuple[int, int, int, int, float, float]], view: Vie
 
     pixels = view.in_frame(first, point(place)), view.in_frame(second, point(there))
     known = np.isfinite(pixels[0]).all(axis=1) & np.isfinite(pixels[1]).all(axis=1)
-    return Matches(first[known], second[known], node.ravel()[known], pixels[0][known], pixels[1][known], nodes)
+    return Matches(first[known], second[known], node.ravel()[known], pixels[0][known], pixels[1][known], nodes, alike)
 
 
 def _shift(other: Image, patch: Image, reach: int) -> tuple[float, float] | None:
@@ -207,39 +205,66 @@ def _shift(other: Image, patch: Image, reach: int) -> tuple[float, float] | None
     import cv2
 
     score = cv2.matchTemplate(other, patch, cv2.TM_CCOEFF_NORMED)
-    row, column = np.unravel_index(int(np.argmax(score)), score.shape)
+    row, column = (int(each) for each in np.unravel_index(int(np.argmax(score)), score.shape))
     best = float(score[row, column])
     if not best >= _LEAST_ALIKE or not (0 < row < 2 * reach and 0 < column < 2 * reach):
         return None
     near = score[row - 1 : row + 2, column - 1 : column + 2]
     down, right = _vertex(near[:, 1]), _vertex(near[1])
-    score[max(row - _SAME_PLACE, 0) : row + _SAME_PLACE + 1, max(column - _SAME_PLACE, 0) : column + _SAME_PLACE + 1] = -1
+    _around(score, (row, column), _SAME_PLACE)[:] = -1.0
     if score.max() > _SECOND * best:
         return None
     return float(row - reach + down), float(column - reach + right)
 
 
-def _vertex(line: NDArray[np.float32]) -> float:
+def _around(values: NDArray[Any], place: tuple[int, int], half: int) -> NDArray[Any]:
+    """The part of an image up to `half` rows and columns around a place."""
+    row, column = place
+    return values[max(row - half, 0) : row + half + 1, max(column - half, 0) : column + half + 1]
+
+
+def _vertex(line: NDArray[Any]) -> float:
     """Place of the vertex of a parabola through three values at −1, 0, 1, of which the middle is the largest."""
     before, middle, after = (float(value) for value in line)
     return 0.5 * (after - before) / max(2.0 * middle - before - after, 1e-9)
 
 
-class _Laid:
-    """Frames laid on the ground, in cells of one side; those used last are kept."""
+class _Sheet(NamedTuple):
+    """A frame on the ground: cells of rows northwards from `top` and columns eastwards from `left`."""
 
-    def __init__(self, images: Image, view: View, cell_m: float, feet: Floats, blur_px: float) -> None:
+    top: int
+    left: int
+    values: Image  # (h, w) float32, 0 outside the frame
+    whole: NDArray[np.uint8]  # (h, w) uint8 1 where a patch is inside the frame
+
+    @property
+    def bottom(self) -> int:
+        return self.top + len(self.values)
+
+    @property
+    def right(self) -> int:
+        return self.left + self.values.shape[1]
+
+
+class _Laid:
+    """Frames laid on the ground, with a margin; those used last are kept."""
+
+    def __init__(
+        self, images: Image, view: View, cell_m: float, feet: Floats, blur_px: float, half: int, margin: int
+    ) -> None:  # fmt: skip
         self._images, self._view, self._cell, self._feet, self._blur = images, view, cell_m, feet, blur_px
+        self._half, self._margin = half, margin
         self._kept = lru_cache(maxsize=_KEPT)(self._laid)
 
-    def __call__(self, number: int) -> tuple[tuple[int, int], Image]:
-        """Return ((first row, first column) counted northwards and eastwards, values (h, w), NaN outside the frame)."""
+    def __call__(self, number: int) -> _Sheet:
+        """Return a frame on the ground."""
         return self._kept(number)
 
-    def _laid(self, number: int) -> tuple[tuple[int, int], Image]:
+    def _laid(self, number: int) -> _Sheet:
         import cv2
 
         low, high = np.floor(self._feet[number] / self._cell).astype(int)
+        low, high = low - self._margin, high + self._margin
         east, north = np.meshgrid(np.arange(low[0], high[0] + 1) + 0.5, np.arange(low[1], high[1] + 1) + 0.5)
         east, north = east * self._cell, north * self._cell
         up = self._view.ground(east.ravel(), north.ravel())
@@ -252,7 +277,10 @@ class _Laid:
             image = np.where(known, cv2.GaussianBlur(np.where(known, image, 0.0), (0, 0), self._blur), np.nan)
         laid = cv2.remap(image.astype(np.float32), place[..., 0], place[..., 1], cv2.INTER_LINEAR,
                          borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))  # fmt: skip
-        return (int(low[1]), int(low[0])), np.asarray(laid)
+        inside = np.isfinite(laid)
+        whole = cv2.erode(inside.astype(np.uint8), np.ones((2 * self._half + 1,) * 2, np.uint8),
+                          borderType=cv2.BORDER_CONSTANT, borderValue=0)  # fmt: skip
+        return _Sheet(int(low[1]), int(low[0]), np.where(inside, laid, np.float32(0.0)), np.asarray(whole, np.uint8))
 
 
 def _pairs(feet: Floats) -> list[tuple[int, int]]:

@@ -7,9 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.apps.survey.inverse.adjustment import Adjusted, deviations, lens_of
 from thermorender.apps.survey.inverse.frames import Survey
 from thermorender.apps.survey.inverse.level import Reference
-from thermorender.apps.survey.inverse.poses import deviation
+from thermorender.apps.survey.inverse.poses import PoseError, deviation
+from thermorender.apps.survey.inverse.shutter import Shutters
 from thermorender.apps.survey.inverse.solve import Settings, State
 from thermorender.apps.survey.inverse.spread import Spread
 from thermorender.units import utc_text
@@ -18,6 +20,8 @@ Floats = NDArray[np.float64]
 # Residuals above both, [K] and as share of the frames' contrast. Real frames at poses of photogrammetry leave 0.3 K.
 # Over a simulated heath, structure within texels of 2 m leaves 0.7 K, and heights that are wrong by a third 1.4 K.
 _UNLIKE_K, _UNLIKE = 1.0, 0.2
+# Residuals beyond so many times the noise are said.
+_MISFIT = 3.0
 # A frame that fits worse than the median of the frames by this factor, and by this many times the noise.
 _WORSE, _BEYOND_NOISE = 3.0, 5.0
 # Offsets beyond so many prior standard deviations from the median, and so many of the frames' own.
@@ -29,16 +33,19 @@ _FINE = 0.8
 # Hours by which times of frames may differ from that of the scene: without a zone, and with one.
 _ANY_ZONE_H, _FLIGHT_H = 14.0, 3.0
 _CLOCK = re.compile(r"(\d{4})[:-](\d\d)[:-](\d\d)[ T](\d\d:\d\d(?::\d\d)?)(?:\.\d+)?(Z|[+-]\d\d:?\d\d)?")
+# Heights by the frames and by the scene that differ by more: standard deviations, and metres.
+_HEIGHTS_OFF, _HEIGHTS_M = 4.0, 0.3
 # Names in a sentence.
 _MOST = 5
 
 
 class Level(NamedTuple):
-    """The common level: its shift by references [K], their residuals, and what they are."""
+    """The common level: its shift [K], the references with their residuals, and the shutters."""
 
     shift_k: float
     residuals: Sequence[tuple[str, float]]
     references: Sequence[Reference]
+    shutters: Shutters
 
 
 def notes_of(
@@ -51,8 +58,58 @@ def notes_of(
     """
     return [
         *_coverage(survey, blind, spread), *_misfits(survey, state, spread, settings),
-        *_texels(settings, pixel_m), *_level(level, settings), *_headings(survey), *_times(survey, time),
+        *_texels(settings, pixel_m), *_shutters(survey, level), *_level(level, settings), *_headings(survey),
+        *_times(survey, time),
     ]  # fmt: skip
+
+
+def adjustment_notes(
+    survey: Survey, found: Adjusted, error: PoseError, fit_lens: bool, alone: bool
+) -> list[str]:  # fmt: skip
+    """Return sentences on the adjustment of frames; `alone` without a scene."""
+    notes = []
+    if fit_lens:
+        (focal, right, down, k1, k2), std = lens_of(found.camera), found.lens_std
+        notes.append(
+            f"the lens is fitted to the frames: {focal:.1f} ± {std[0]:.1f} pixels of focal length, principal point "
+            f"({right:+.1f} ± {std[1]:.1f}, {down:+.1f} ± {std[2]:.1f}) pixels from the middle, k1 = {k1:.3f} ± "
+            f"{std[3]:.3f}, k2 = {k2:.3f} ± {std[4]:.3f}; the same points of two frames agree to "
+            f"{found.residual_px:.2f} pixels"
+        )
+    known = found.heights[np.isfinite(found.heights)]
+    if alone:
+        relief = found.relief.up
+        notes.append(
+            f"the ground is level at the take-off, with the relief that the frames show at {known.size} points: "
+            f"{relief.min():+.1f} to {relief.max():+.1f} m; trees and walls are smoothed to "
+            f"{found.ground.step_m:.2g} m"
+        )
+    elif known.size:
+        away = 1.4826 * float(np.median(np.abs(known - np.median(known))))
+        if away > max(_HEIGHTS_OFF * float(np.median(found.height_std)), _HEIGHTS_M):
+            notes.append(
+                f"by the frames, heights of the ground differ from the scene's by {away:.2f} m, robust standard "
+                "deviation; give a surface model of the day of the flight"
+            )
+    loose = np.flatnonzero(~found.held)
+    if loose.size:
+        notes.append(
+            f"{loose.size} frames show too little that others show, so that only their measured poses hold them: "
+            f"{_names(survey, loose)}"
+        )
+    steps = deviations(found.poses, survey.poses)
+    for part, limit, unit, scale in (
+        (slice(0, 3), error.position_m, "m", 1.0), (slice(3, 6), error.angle_deg, "°", np.degrees(1.0))
+    ):  # fmt: skip
+        moved = scale * np.linalg.norm(steps[:, part], axis=1)
+        # Of three axes.
+        far = np.flatnonzero(moved > _SIGMAS * np.sqrt(3.0) * limit)
+        if far.size:
+            notes.append(
+                f"{far.size} frames are up to {moved.max():.1f} {unit} from their measured poses, which pose_error "
+                f"states to {limit:g} {unit}: {_names(survey, far)}; their clock, heights or gimbal are wrong"
+            )
+    return notes
 
 
 def _coverage(survey: Survey, blind: Sequence[int], spread: Spread) -> list[str]:
@@ -79,6 +136,12 @@ def _misfits(survey: Survey, state: State, spread: Spread, settings: Settings) -
             f"the frames differ from the map by {state.noise_k:.2f} K, {100.0 * share:.0f} % of their contrast, so the "
             "map and its standard deviations cannot be trusted: heights, angles, the focal length or the order of the "
             "frames are wrong, or texels are too large"
+        )
+    elif state.noise_k > _MISFIT * settings.noise_k:
+        notes.append(
+            f"pixels differ from the map by {state.noise_k:.2f} K, {state.noise_k / settings.noise_k:.1f} times the "
+            "noise of a camera: poses, heights, structure within texels or changes of the ground; the standard "
+            "deviations include it"
         )
     known = np.isfinite(spread.frames)
     usual = float(np.median(spread.frames[known])) if known.any() else 0.0
@@ -109,7 +172,7 @@ def _common_move(survey: Survey, state: State, settings: Settings) -> list[str]:
     error = settings.pose_error
     if error.position_m == 0.0:
         return []
-    steps = np.array([deviation(*pair)[:3] for pair in zip(state.poses, survey.poses, strict=True)])
+    steps = np.array([deviation(*pair)[:3] for pair in zip(state.poses, survey.measured, strict=True)])
     east, north, up = (float(each) for each in np.median(steps, axis=0))
     if max(abs(east), abs(north), abs(up)) <= _TOGETHER * error.position_m:
         return []
@@ -126,6 +189,19 @@ def _texels(settings: Settings, pixel_m: float) -> list[str]:
     return [
         f"texels of {settings.texel_m:.3g} m are smaller than a pixel on the ground, {pixel_m:.3g} m, which amplifies "
         f"the noise; give texel_m={1.5 * pixel_m:.2g} for a map with less noise"
+    ]
+
+
+def _shutters(survey: Survey, level: Level) -> list[str]:
+    after = level.shutters.after
+    if not after.size:
+        return []
+    said = f"the shutter closed before {_names(survey, after)}: offsets jump by {level.shutters.fall_k:.1f} K there"
+    if level.references:
+        return [f"{said} and drift in between, which offsets.csv has as drift_k"]
+    return [
+        f"{said} and drift in between; the frames right after it set the common level, which this moves by "
+        f"{level.shift_k:+.1f} K, and half of the jump is part of the level's standard deviation"
     ]
 
 

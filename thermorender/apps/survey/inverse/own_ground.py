@@ -21,8 +21,8 @@ from thermorender.physics.geodesy import LocalFrame
 Floats = NDArray[np.float64]
 # Diagonal of a frame of 35 mm film [mm], of which lenses state an equivalent focal length.
 _FILM_MM = float(np.hypot(36.0, 24.0))
-# Tags of EXIF: focal length [mm], and that of 35 mm film [mm].
-_FOCAL, _FOCAL_35 = 37386, 41989
+# Tags: model of the camera, focal length [mm], and that of 35 mm film [mm].
+_MODEL, _FOCAL, _FOCAL_35 = 272, 37386, 41989
 # Ground around the frames: multiples of their height, at most, and posts along it.
 _FARTHEST, _POSTS = 3.0, 40
 # Half of the angle across a frame that is assumed around it [deg], with what frames may be tilted.
@@ -142,9 +142,9 @@ def stated_camera(path: Path, shape: tuple[int, int]) -> tuple[Camera, str]:
     """
     height, width = shape
     try:
-        exif = picture_tags(path)[1]
+        tags, exif = picture_tags(path)[:2]
     except ValueError:
-        exif = {}
+        tags, exif = {}, {}
     focal_mm, equal_mm = (_positive(exif.get(tag)) for tag in (_FOCAL, _FOCAL_35))
     if not (focal_mm and equal_mm):
         raise ThermorenderError(
@@ -154,7 +154,8 @@ def stated_camera(path: Path, shape: tuple[int, int]) -> tuple[Camera, str]:
     base = load_camera(CAMERA)
     focal_px = equal_mm / _FILM_MM * float(np.hypot(width, height))
     camera = replace(
-        base, name="frames", width=width, height=height, pixel_pitch_um=1e3 * focal_mm / focal_px,
+        base, name=str(tags.get(_MODEL, "")).strip("\0 ") or "the frames' camera", width=width, height=height,
+        pixel_pitch_um=1e3 * focal_mm / focal_px,
         focal_length_mm=focal_mm,
     )  # fmt: skip
     return camera, (

@@ -29,7 +29,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from thermorender import Scene
 from thermorender.apps.survey.footage.lens_files import Lens, opensfm_lens
 from thermorender.apps.survey.inverse.frames import HEIGHTS, Place, camera_rotation
 from thermorender.errors import ThermorenderError
@@ -60,13 +59,13 @@ _METASHAPE_COLUMNS = (
 )  # fmt: skip
 
 
-def read_poses(path: Path, scene: Scene) -> dict[str, Place]:
+def read_poses(path: Path) -> dict[str, Place]:
     """Return {name of a frame without suffix: Place} of a file of poses."""
     text = read_text(path, "CSV UTF-8")
     if path.suffix.lower() in (".json", ".geojson"):
-        return _json(path, text, scene)
+        return _json(path, text)
     if text.startswith(_METASHAPE):
-        return _metashape(path, text, scene)
+        return _metashape(path, text)
     return _own(path)
 
 
@@ -98,7 +97,7 @@ def _own(path: Path) -> dict[str, Place]:
     return found
 
 
-def _metashape(path: Path, text: str, scene: Scene) -> dict[str, Place]:
+def _metashape(path: Path, text: str) -> dict[str, Place]:
     first, _, rest = text.partition("\n")
     lines = rest.splitlines()
     crs = _system(path, first)
@@ -110,8 +109,6 @@ def _metashape(path: Path, text: str, scene: Scene) -> dict[str, Place]:
             "pitch, roll or omega, phi, kappa; set those angles in Metashape's reference settings, and export "
             "separated by commas"
         )
-    if scene.frame is None:
-        raise ThermorenderError(f"{scene.where}: poses on a map need a place of the scene; add [frame] to it")
     found: dict[str, Place] = {}
     rows = [line.split(",") for line in lines if line and not line.startswith("#")]
     for number, cells in enumerate(rows, 1):
@@ -122,9 +119,8 @@ def _metashape(path: Path, text: str, scene: Scene) -> dict[str, Place]:
         name = _name(row["Label"], found, where)
         x, y, height = (_number(row, key, where) for key in names[:3])
         angles = [_angle(row, key, where) for key in names[3:]]
-        found[name] = _on_map(
-            scene.frame, crs, _turned(angles).as_matrix(), (x, y, height), f"{path}, camera {row['Label'].strip()!r}"
-        )
+        where = f"{path}, camera {row['Label'].strip()!r}"
+        found[name] = _on_map(crs, _turned(angles).as_matrix(), (x, y, height), where)
         if names[3].startswith("Yaw"):
             nadir = Rotation.from_matrix(_BODY_FROM_NADIR)
             found[name] = replace(found[name], rotation=rotation_from_angles(*angles) * nadir)
@@ -173,17 +169,14 @@ def _check_system(path: Path, crs: Any) -> None:
         )
 
 
-def _on_map(frame: LocalFrame, crs: Any, axes: Floats, position: tuple[float, float, float], where: str) -> Place:
+def _on_map(crs: Any, axes: Floats, position: tuple[float, float, float], where: str) -> Place:
     """The Place of a camera with axes east, north, up of a map and a position on it."""
     try:
         ((latitude, longitude, height),) = geodetic_from_map(crs, [position]).tolist()
         pose = np.eye(4)
         if crs.is_projected:
             pose[:3, :3], pose[:3, 3] = axes, position
-            pose = pose_from_map(frame, crs, pose)
-            axes = pose[:3, :3]
-            # In the scene's frame north and down are those of its origin; `Place` has those of the camera.
-            axes = _local_axes(frame, latitude, longitude).T @ axes
+            axes = pose_from_map(LocalFrame(latitude, longitude, height), crs, pose)[:3, :3]
     except ThermorenderError as error:
         raise ThermorenderError(f"{where}: {error}") from None
     return Place((latitude, longitude), True, height, "alt_ellipsoid_m", Rotation.from_matrix(ENU_FROM_NED.T @ axes))
@@ -195,11 +188,11 @@ def _local_axes(frame: LocalFrame, latitude: float, longitude: float) -> Floats:
     return np.asarray(frame.enu_from_ecef_rotation @ here.enu_from_ecef_rotation.T)
 
 
-def _json(path: Path, text: str, scene: Scene) -> dict[str, Place]:
+def _json(path: Path, text: str) -> dict[str, Place]:
     try:
         given = finite_json(text)
         shots = isinstance(given, dict) and given.get("type") == "FeatureCollection"
-        found = _shots(path, given, scene) if shots else _opensfm(path, given)
+        found = _shots(path, given) if shots else _opensfm(path, given)
     except ThermorenderError:
         raise
     except (ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
@@ -232,9 +225,7 @@ def _opensfm(path: Path, given: Any) -> dict[str, Place]:
     return found
 
 
-def _shots(path: Path, given: Any, scene: Scene) -> dict[str, Place]:
-    if scene.frame is None:
-        raise ThermorenderError(f"{scene.where}: poses on a map need a place of the scene; add [frame] to it")
+def _shots(path: Path, given: Any) -> dict[str, Place]:
     found: dict[str, Place] = {}
     for feature in given["features"]:
         stated = feature["properties"]
@@ -246,7 +237,7 @@ def _shots(path: Path, given: Any, scene: Scene) -> dict[str, Place]:
         width, tall = int(stated["width"]), int(stated["height"])
         focal = float(stated["focal"]) * max(width, tall)
         lens = Lens(width, tall, focal, (0.0, 0.0), None, 0.0, str(path))
-        found[name] = replace(_on_map(scene.frame, crs, axes, (x, y, height), f"{path}, {name}"), lens=lens)
+        found[name] = replace(_on_map(crs, axes, (x, y, height), f"{path}, {name}"), lens=lens)
     return found
 
 

@@ -37,6 +37,10 @@ class PoseError:
     position_m: float = 1.0
     angle_deg: float = 0.7
 
+    def times(self, factor: float) -> "PoseError":
+        """Return standard deviations that are larger by a factor."""
+        return PoseError(factor * self.position_m, factor * self.angle_deg)
+
     @property
     def precision(self) -> Floats:
         """1 over the variances of a step as of `moved`, (6,)."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from thermorender import formats, load_camera
+from thermorender.apps.survey.inverse.adjustment import lens_of as lens_terms
 from thermorender.apps.survey.inverse.poses import deviation
 from thermorender.apps.survey.inverse.reconstruct import Reconstruction
 from thermorender.apps.survey.inverse.solve import vignetting
@@ -30,6 +31,8 @@ from thermorender.versions import versions
 Floats = NDArray[np.float64]
 # Pixels along the longer side of a picture.
 _SIDE = 700
+# Focal length, principal point from the middle and distortion, as `adjustment.lens_of` has them.
+_LENS = "focal_px", "right_px", "down_px", "k1", "k2"
 
 
 def write(found: Reconstruction, folder: Path) -> None:
@@ -59,7 +62,7 @@ def lens_of(found: Reconstruction) -> Floats:
 def record(found: Reconstruction) -> dict[str, Any]:
     """Return what a Reconstruction assumed and found, as JSON."""
     std = found.apparent_std[np.isfinite(found.apparent_std)]
-    moved = np.array([deviation(*pair) for pair in zip(found.state.poses, found.survey.poses, strict=True)])
+    moved = np.array([deviation(*pair) for pair in zip(found.state.poses, found.survey.measured, strict=True)])
     texel = found.lattice.texel_m
     return {
         "scene": found.renderer.scene.name, "frames": len(found.survey.names), "camera": found.camera.name,
@@ -68,15 +71,22 @@ def record(found: Reconstruction) -> dict[str, Any]:
         "noise_k": found.state.noise_k, "error_over_draws": found.spread.scale,
         "position_error_m": found.spread.edge_texels * texel, "misfit": found.spread.misfit,
         "std_median_k": float(np.median(std)) if std.size else None,
-        "level_k": found.level_k, "level_std_k": found.level_std_k, "level_of": "references" if found.references else
-        "the camera's accuracy",
+        "level_k": found.level_k, "level_std_k": found.level_std_k, "level_of": _level_of(found),
         "references": [{"name": name, "residual_k": value} for name, value in found.references],
         "offsets_std_k": float(found.state.offsets.std()), "tilts_rms_k": found.state.tilt_k,
-        "vignetting_k": float(np.ptp(lens_of(found))),
+        "lens": dict(zip(_LENS, lens_terms(found.camera).tolist(), strict=True)),
+        "shutter_jump_k": found.shutters.fall_k, "vignetting_k": float(np.ptp(lens_of(found))),
         "poses_moved_m": float(np.linalg.norm(moved[:, :3], axis=1).mean()),
         "poses_turned_deg": float(np.degrees(np.linalg.norm(moved[:, 3:], axis=1)).mean()),
         "notes": list(found.notes), "versions": versions(),
     }  # fmt: skip
+
+
+def _level_of(found: Reconstruction) -> str:
+    """What sets the common level."""
+    if found.references:
+        return "references"
+    return "the frames after a shutter" if found.shutters.after.size else "the camera's accuracy"
 
 
 def _write(path: Path, values: Floats, lattice: Lattice, name: str, unit: str = "K") -> None:
@@ -99,7 +109,7 @@ def _poses(found: Reconstruction) -> list[dict[str, Any]]:
     angles = angles_from_rotation(ned * Rotation.from_matrix(BODY_FROM_CAMERA).inv())
     rows = []
     for number, name in enumerate(found.survey.names):
-        step = deviation(poses[number], found.survey.poses[number])
+        step = deviation(poses[number], found.survey.measured[number])
         place = dict(zip(("east_m", "north_m", "up_m"), poses[number, :3, 3], strict=True))
         turn = dict(zip(("yaw_deg", "pitch_deg", "roll_deg"), angles[number], strict=True))
         rows.append({
@@ -118,16 +128,18 @@ def _offsets(found: Reconstruction) -> list[dict[str, Any]]:
     return [
         {"frame": name, "time": time}
         | _rounded({"offset_k": offset, "tilt_right_k": right, "tilt_down_k": down}, 5)
-        | {"residual_k": round(float(rest), 4) if np.isfinite(rest) else ""}
-        for name, time, offset, (right, down), rest in zip(
+        | {"residual_k": round(float(rest), 4) if np.isfinite(rest) else "", "drift_k": round(float(drift), 5),
+           "after_shutter": int(number in found.shutters.after)}
+        for number, (name, time, offset, (right, down), rest, drift) in enumerate(zip(
             found.survey.names,
             found.survey.times,
             found.state.offsets,
             found.state.tilts,
             found.spread.frames,
+            found.shutters.drift,
             strict=True,
-        )
-    ]
+        ))
+    ]  # fmt: skip
 
 
 def _scene(found: Reconstruction, folder: Path) -> None:
@@ -250,7 +262,7 @@ def _references(found: Reconstruction) -> list[str]:
 def _frames(found: Reconstruction) -> str:
     rows = []
     for number, name in enumerate(found.survey.names):
-        step = deviation(found.state.poses[number], found.survey.poses[number])
+        step = deviation(found.state.poses[number], found.survey.measured[number])
         moved, turned = np.linalg.norm(step[:3]), np.degrees(np.linalg.norm(step[3:]))
         error = found.settings.pose_error
         far = moved > 3.0 * np.sqrt(3.0) * error.position_m or turned > 3.0 * np.sqrt(3.0) * error.angle_deg

@@ -18,6 +18,7 @@ from thermorender.apps.survey.inverse.kinetic import Light, kinetic_of, light_of
 from thermorender.apps.survey.inverse.linear import LinearKelvin
 from thermorender.apps.survey.inverse.normal import Prior
 from thermorender.apps.survey.inverse.notes import Level, notes_of
+from thermorender.apps.survey.inverse.shutter import Shutters, shutters_of
 from thermorender.apps.survey.inverse.solve import Problem, Settings, State
 from thermorender.apps.survey.inverse.spread import Spread
 from thermorender.apps.survey.inverse.weights import (
@@ -37,8 +38,12 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], object]
 STATE = "state.npz"
+# The adjustment of lens and poses before it.
+ADJUSTED = "adjusted.npz"
 # Poses are wrong by up to so many standard deviations.
 _REACH = 3.0
+# What is left of the error of poses after an adjustment: single frames agree, and a strip may bend.
+_LEFT = 1.0 / 3.0
 # Rounds on all pixels, the last included; those before them take means of pixels.
 _FULL = 2
 # Files of states have a form of their own.
@@ -69,7 +74,9 @@ class Reconstruction:
     state : State
     spread : Spread
     level_k, level_std_k : float
-        Shift of the common level by the references, and its standard deviation; without references the shift is 0.
+        Shift of the common level by the references, otherwise by the frames after a shutter, otherwise 0; and the
+        standard deviation of the level.
+    shutters : Shutters
     references : list of (name, residual)
         Residuals of the references [K].
     notes : tuple of str
@@ -92,6 +99,7 @@ class Reconstruction:
     spread: Spread
     level_k: float
     level_std_k: float
+    shutters: Shutters
     references: list[tuple[str, float]]
     notes: tuple[str, ...]
     renderer: "Renderer"
@@ -139,23 +147,27 @@ def reconstruct(
     renderer = Renderer(scene.with_camera(camera), quality="fast", progress=progress)
     survey = without_air(survey, camera, renderer)
     linear = LinearKelvin(camera.band_um, round(float(np.nanmedian(survey.kelvin)), 1))
+    error = settings.pose_error if survey.stated is None else settings.pose_error.times(_LEFT)
     lattice, blind = _window(renderer, camera, survey.poses, settings)
     level.check_places(references, renderer, lattice)
     light = light_of(renderer, lattice, linear)
     images = np.stack([linear.of(image).astype(np.float32) for image in survey.kelvin])
-    problem = Problem(renderer, camera, images, survey.poses, lattice, _prior(light, settings), settings)
+    problem = Problem(renderer, camera, images, survey.poses, lattice, _prior(light, settings), settings, error)
     state = _solved(problem, _key(scene, survey, camera, settings), folder, progress)
     state, spread = problem.last_round(state, progress)
-    shift, level_std, residuals = 0.0, settings.level_k, list[tuple[str, float]]()
-    seen = spread.views > 0
+    shutters = shutters_of(state.offsets, _order(survey), np.isfinite(spread.frames))
+    # Half of what a shutter takes away may be the camera's, half of it the ground's.
+    shift, level_std = shutters.level_k, float(np.hypot(settings.level_k, 0.5 * shutters.fall_k))
+    residuals, seen = list[tuple[str, float]](), spread.views > 0
     means = texel_means(state.map, lattice.scene_texels)
     if references:
         shift, level_std, residuals = level.shift_of(
             list(references), means, spread.std, seen, light, renderer, lattice, linear
         )
-        state, means = replace(state, map=state.map + shift, offsets=state.offsets - shift), means + shift
+    state, means = replace(state, map=state.map + shift, offsets=state.offsets - shift), means + shift
+    shutters = replace(shutters, drift=shutters.drift - shift)
     pixel_m = problem.reach / reach_px(camera) * lattice.texel_m
-    found_level = Level(shift, residuals, references)
+    found_level = Level(shift, residuals, references, shutters)
     notes = notes_of(survey, blind, state, spread, settings, pixel_m, found_level, scene.time)
     apparent = np.where(seen, linear.kelvin(means), np.nan)
     per_linear = linear.kelvin_per_linear(np.where(seen, apparent, linear.reference_k))
@@ -166,8 +178,14 @@ def reconstruct(
         np.where(trusted, found, np.nan), np.where(trusted, np.hypot(spread.std * change, by_emissivity), np.nan),
         spread.views,
         np.where(seen, spread.residual, np.nan), linear.kelvin(light.apparent), state, spread, shift, level_std,
-        residuals, (*survey.notes, *notes, *unknowns(renderer, light.material, linear)), renderer, light,
+        shutters, residuals, (*survey.notes, *notes, *unknowns(renderer, light.material, linear)), renderer, light,
     )  # fmt: skip
+
+
+def _order(survey: Survey) -> NDArray[np.intp]:
+    """Numbers of the frames in time, by names where times are unknown or the same."""
+    known = all(survey.times)
+    return np.array(sorted(range(len(survey.names)), key=lambda k: (survey.times[k] if known else "", survey.names[k])))
 
 
 def _window(renderer: "Renderer", camera: Camera, poses: Floats, settings: Settings) -> tuple[Lattice, list[int]]:
@@ -192,8 +210,8 @@ def _key(scene: Scene, survey: Survey, camera: Camera, settings: Settings) -> di
     """What a state belongs to."""
     data = hashlib.sha256(np.ascontiguousarray(survey.kelvin).tobytes())
     data.update(survey.poses.tobytes())
-    return {"form": _FORM, "frames": data.hexdigest(), "scene": scene.with_camera(camera).digest(),
-            "settings": asdict(settings)}  # fmt: skip
+    return {"form": _FORM, "frames": data.hexdigest(), "adjusted": survey.stated is not None,
+            "scene": scene.with_camera(camera).digest(), "settings": asdict(settings)}  # fmt: skip
 
 
 def _solved(
@@ -227,7 +245,7 @@ def _binned(problem: Problem) -> Problem:
     images = np.stack([binned(image, 2) for image in problem.images]).astype(np.float32)
     camera = binned_camera(problem.camera, 2)
     return Problem(problem.viewer.renderer, camera, images, problem.poses, problem.viewer.lattice, problem.prior,
-                   problem.settings)  # fmt: skip
+                   problem.settings, problem.error)  # fmt: skip
 
 
 def _keep(path: Path | None, key: dict[str, Any], state: State) -> None:
@@ -252,6 +270,6 @@ def _kept(path: Path, key: dict[str, Any]) -> State | None:
 def check_folder(folder: str | PathLike[str]) -> None:
     """Raise unless a folder is new, empty, or that of a reconstruction, which may have been killed before its state."""
     path = Path(folder)
-    if (path / STATE).is_file() or files.only_left_behind(path):
+    if any((path / name).is_file() for name in (STATE, ADJUSTED)) or files.only_left_behind(path):
         return
     files.check_new_folder(path)

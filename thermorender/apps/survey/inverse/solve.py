@@ -94,18 +94,19 @@ class State:
 
 
 class Problem:
-    """Frames, (F, H, W) float32 [linear kelvin], NaN where invalid, with measured poses (F, 4, 4), and the prior."""
+    """Frames, (F, H, W) float32 [linear kelvin], NaN where invalid, with poses (F, 4, 4), their error and the prior."""
 
     def __init__(
         self, renderer: "Renderer", camera: Camera, images: Image, poses: Floats, lattice: Lattice, prior: Prior,
-        settings: Settings,
+        settings: Settings, error: PoseError,
     ) -> None:  # fmt: skip
+        self.error = error
         self.camera, self.images, self.poses, self.prior, self.settings = camera, images, poses, prior, settings
         self.viewer = Viewer(renderer, camera, lattice)
         self.taps = taps_of(settings.taps)
         self.vignetting, self.tilting = vignetting(camera), tilting(camera)
         self.reach = self._reach_texels()
-        self.free = settings.pose_error.position_m > 0.0 or settings.pose_error.angle_deg > 0.0
+        self.free = error.position_m > 0.0 or error.angle_deg > 0.0
 
     def _reach_texels(self) -> float:
         """Distance of the outer taps of a pixel, in the median over some frames [texels]."""
@@ -141,7 +142,7 @@ class Problem:
         if not self.free:
             return state
         factor, begins = max(1, round(self.camera.width / 160)), state.rounds == 0
-        camera, error = binned_camera(self.camera, factor), self.settings.pose_error
+        camera, error = binned_camera(self.camera, factor), self.error
         viewer = Viewer(self.viewer.renderer, camera, self.viewer.lattice)
         images = [
             binned(image if begins else image - self._own(state, number), factor).astype(np.float32)
@@ -220,7 +221,7 @@ class Problem:
         tilted = [1.0 / state.tilt_k**2] * 2 if state.tilt_k > 0.0 else []
         # What pixels have in common, such as a change of the ground between passes, would move poses as if each of them
         # had seen it independently.
-        poses = [state.alike_px * settings.pose_error.precision] if free else []
+        poses = [state.alike_px * self.error.precision] if free else []
         own = np.concatenate([[1.0 / settings.offset_k**2], tilted, *poses])
         terms = np.full(len(self.vignetting), 1.0 / settings.vignette_k**2)
         normal = Normal(self.prior, own, terms)
