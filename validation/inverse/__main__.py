@@ -31,17 +31,23 @@ def main(
     texel_m: Annotated[float, typer.Option(help="Of the map [m].")] = 0.25,
     only: Annotated[int | None, typer.Option(help="Cases of settings, from the first on.")] = None,
     real: Annotated[Path | None, typer.Option("--flight", help="Folder of the real flight's frames.")] = None,
+    alone: Annotated[Path | None, typer.Option(help="Folder of a flight's radiometric JPEGs, without a scene.")] = None,
 ):
     """The error of reconstructed maps against truth, by setting, and of held-out frames of a real flight."""
     results: list[dict] = []
     path = output / "inverse.json"
     with continued_results(output) as report, tempfile.TemporaryDirectory() as made:
-        splits = {}
+        splits, own = {}, {}
         if real is not None:
             scene, camera, survey = flight.read_flight(real, Path(made) / "flight")
             for which in flight.SPLITS:
                 splits[which] = flight.split(scene, camera, survey, which)
-                formats.write_json(path, {"simulated": results, "flight": splits})
+                formats.write_json(path, {"simulated": results, "flight": splits, "alone": own})
+        if alone is not None:
+            scene, camera, survey = flight.read_alone(alone, Path(made) / "level")
+            for which in flight.SPLITS:
+                own[which] = flight.split(scene, camera, survey, which, flight.RTK, alone=True)
+                formats.write_json(path, {"simulated": results, "flight": splits, "alone": own})
         cases = [(seed, kind) for seed in seeds_of(seeds) for kind in kinds.split(",")]
         for done, (seed, kind) in enumerate(cases):
             folder = write(make(kind, seed), Path(made) / f"{kind}{seed}", temperature_every=1)
@@ -50,7 +56,7 @@ def main(
                 report(f"{kind} {seed}: {name}", (done + number / len(_CASES)) / len(cases))
                 settings = Settings(**({"texel_m": texel_m, "pose_error": study.ERROR} | keys))
                 results.append(simulated.case(f"{kind} {seed}, {name}", settings, step))
-                formats.write_json(path, {"simulated": results, "flight": splits})
+                formats.write_json(path, {"simulated": results, "flight": splits, "alone": own})
     conclude("inverse", output, study.HEADER, study.rows(results), "numbers")
 
 

@@ -1,5 +1,7 @@
 """Frames of a real flight held out of a reconstruction, and predicted by its map."""
 
+import re
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,22 +9,24 @@ import numpy as np
 import rasterio
 
 from thermorender.apps.lands.import_terrain import import_terrain
-from thermorender.apps.survey.inverse.frames import Survey, frame_files, read_frames
+from thermorender.apps.survey.inverse.frames import Survey, frame_files, places_of, read_frames
 from thermorender.apps.survey.inverse.linear import LinearKelvin
+from thermorender.apps.survey.inverse.own_ground import between, level_scene, stated_camera
 from thermorender.apps.survey.inverse.pose_files import read_poses
-from thermorender.apps.survey.inverse.poses import PoseError, registered
+from thermorender.apps.survey.inverse.poses import PoseError, deviation, registered
 from thermorender.apps.survey.inverse.products import lens_of
 from thermorender.apps.survey.inverse.reconstruct import reconstruct
+from thermorender.apps.survey.inverse.run import aligned
 from thermorender.apps.survey.inverse.solve import Settings, tilting
-from thermorender.apps.survey.inverse.weights import Viewer, binned, binned_camera, taps_of
+from thermorender.apps.survey.inverse.weights import Viewer, binned, binned_camera, moved, taps_of
 from thermorender.scene.load import load_scene
 from thermorender.sensor.camera import load_camera
 from validation.inverse import rivals
 
 # Of the flight's 64 frames, those with these remainders by `EVERY` are held out, one split each.
 SPLITS, EVERY = (0, 3, 5), 9
-# Photogrammetric poses are this well known.
-ERROR = PoseError(0.15, 0.15)
+# Photogrammetric poses are this well known, those of a drone with RTK, and a pose by that of the frame before.
+ERROR, RTK, _NEAR = PoseError(0.15, 0.15), PoseError(0.1, 0.7), PoseError(0.5, 0.5)
 
 
 def read_flight(folder: Path, made: Path) -> tuple:
@@ -52,14 +56,19 @@ def read_flight(folder: Path, made: Path) -> tuple:
     return scene.with_camera(camera), camera, replace(survey, kelvin=small)
 
 
-def split(scene, camera, survey: Survey, which: int, texel_m: float = 0.12, rounds: int = 4) -> dict:
-    """Return the root mean squares of held-out frames, registered and levelled, by method, and of each frame [K]."""
+def split(scene, camera, survey: Survey, which: int, error=ERROR, texel_m: float = 0.12, alone: bool = False) -> dict:
+    """Return the root mean squares of held-out frames, registered and levelled, by method, and of each frame [K].
+
+    The other frames are aligned and solved as the command does: `alone` with the lens and the relief that they show,
+    otherwise with the lens of the camera and the ground of the scene.
+    """
     held = np.arange(len(survey.names)) % EVERY == which
     part = Survey(*(tuple(np.array(values)[~held]) for values in (survey.names, survey.times)),
                   survey.kelvin[~held], survey.poses[~held])  # fmt: skip
-    # The flight has no weather, so the prior is one temperature.
-    settings = Settings(texel_m=texel_m, rounds=rounds, pose_error=ERROR, class_k=10.0, offset_k=3.0)
-    found = reconstruct(scene, part, camera, settings)
+    with tempfile.TemporaryDirectory() as out:
+        part, own_scene, camera = aligned(part, scene, camera, error, alone, alone, Path(out))
+        settings = Settings(texel_m=texel_m, pose_error=error)
+        found = reconstruct(own_scene.with_camera(camera), part, camera, settings)
     linear = LinearKelvin(camera.band_um, round(float(np.nanmedian(part.kelvin)), 1))
     viewer = Viewer(found.renderer, camera, found.lattice)
     images = np.stack([linear.of(image) for image in part.kelvin]).astype(np.float32)
@@ -73,21 +82,36 @@ def split(scene, camera, survey: Survey, which: int, texel_m: float = 0.12, roun
         "reconstruction": (np.where(found.views > 0, found.state.map, np.nan), own),
     }
     result: dict = {name: [] for name in maps}
-    number = np.array([int(name[-4:]) for name in survey.names])
-    for image, pose, at in zip(survey.kelvin[held], survey.poses[held], number[held], strict=True):
-        # Frames before and after a held-out frame know its tilt.
-        tilts = [np.interp(at, number[~held], each) for each in found.state.tilts.T]
+    # Their numbers tell frames that were left out of the flight before.
+    number = np.array([int(re.findall(r"\d{4}", name)[-1]) for name in survey.names])
+    kept = np.flatnonzero(~held)
+    poses = survey.poses if scene.frame is None else between(survey.poses, scene.frame, own_scene.frame)
+    for at in np.flatnonzero(held):
+        # Frames before and after a held-out frame know its tilt, and the nearest how far its measured pose is off.
+        tilts = [np.interp(number[at], number[kept], each) for each in found.state.tilts.T]
+        nearest = int(np.argmin(np.abs(number[kept] - number[at])))
+        pose = moved(poses[at], deviation(part.poses[nearest], part.measured[nearest]))
         for name, (values, shade) in maps.items():
             tilt = (tilts @ tilting(camera)).reshape(own.shape) if name == "reconstruction" else nothing
-            result[name].append(_miss(viewer, values, linear.of(image) - shade - tilt, pose))
+            image = linear.of(survey.kelvin[at]) - shade - tilt
+            result[name].append(_miss(viewer, values, image, pose, alone))
     total = {name: float(np.sqrt(np.nanmean(np.square(each)))) for name, each in result.items()}
     return total | {"frames": dict(zip(np.array(survey.names)[held].tolist(), result["reconstruction"], strict=True))}
 
 
-def _miss(viewer: Viewer, values, image, pose) -> float:
+def read_alone(folder: Path, made: Path) -> tuple:
+    """Return (scene of level ground, camera of the frames' tags, Survey) of a folder of radiometric JPEGs."""
+    files = frame_files([folder])
+    places = places_of(files)
+    scene = level_scene(list(places.values()), None, made)
+    survey = read_frames(files, places, scene)
+    return scene, stated_camera(files[0], survey.kelvin.shape[1:])[0], survey
+
+
+def _miss(viewer: Viewer, values, image, pose, search: bool) -> float:
     """Root mean square of a frame minus its prediction, after registration, without its level [K]."""
     filled = np.where(np.isfinite(values), values, np.nanmedian(values))
-    pose = registered(viewer, filled, image.astype(np.float32), pose, pose, ERROR, search=False)
+    pose = registered(viewer, filled, image.astype(np.float32), pose, pose, _NEAR if search else ERROR, search)
     sight = viewer.sight(pose)
     seen = viewer.imaged(sight, filled, taps_of(), image)
     known = sight.seen(np.isfinite(values).astype(float), taps_of()) > 0.999

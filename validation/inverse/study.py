@@ -1,5 +1,6 @@
 """Maps from rendered frames against their truth: error, calibration and run time by setting."""
 
+import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +12,9 @@ from thermorender.apps.survey.inverse.frames import Survey
 from thermorender.apps.survey.inverse.kinetic import light_of
 from thermorender.apps.survey.inverse.level import Reference
 from thermorender.apps.survey.inverse.linear import LinearKelvin
-from thermorender.apps.survey.inverse.poses import PoseError, deviation
+from thermorender.apps.survey.inverse.poses import PoseError
 from thermorender.apps.survey.inverse.reconstruct import reconstruct
+from thermorender.apps.survey.inverse.run import aligned
 from thermorender.apps.survey.inverse.solve import Settings
 from thermorender.apps.survey.inverse.weights import Lattice, Viewer, moved, taps_of
 from thermorender.physics.planck import brightness_temperature
@@ -98,7 +100,10 @@ class Simulated:
         prior = self.scene.with_temperature(mean) if name.endswith(FLAT) else self.prior
         references = [self._disc()] if name.endswith(REFERENCE) else []
         start = time.process_time()
-        found = reconstruct(prior, survey, self.camera, settings, references)
+        # As the command does: the lens is fitted too.
+        with tempfile.TemporaryDirectory() as out:
+            survey, prior, camera = aligned(survey, prior, self.camera, settings.pose_error, True, False, Path(out))
+        found = reconstruct(prior.with_camera(camera), survey, camera, settings, references)
         seconds = time.process_time() - start
         linear = LinearKelvin(self.camera.band_um, round(float(np.nanmedian(survey.kelvin)), 1))
         whole = Lattice.of(self.scene, settings.texel_m)
@@ -106,7 +111,7 @@ class Simulated:
             (found.lattice.row, found.lattice.column), found.apparent.shape, strict=True))  # fmt: skip
         truth = linear.kelvin(light_of(self.renderer, whole, linear).apparent)[rows, columns]
         viewer = Viewer(found.renderer, self.camera, found.lattice)
-        mean = rivals.plain_mean(viewer, survey.kelvin, survey.poses)
+        mean = rivals.plain_mean(viewer, survey.kelvin, survey.measured)
         seen = (found.views >= 3) & np.isfinite(found.apparent) & np.isfinite(mean)
         error, level = _levelled((found.apparent - truth)[seen])
         share = np.abs(error) / found.apparent_std[seen]
@@ -114,7 +119,8 @@ class Simulated:
             "case": name, "frames": len(survey.names), "texel_m": settings.texel_m, "taps": settings.taps,
             "rounds": settings.rounds, "mae_k": np.abs(error).mean(),
             "plain_k": np.abs(_levelled((mean - truth)[seen])[0]).mean(), "held_out_k": self._held_out(found, linear),
-            "ground_m": _ground(viewer, found.state.poses, self.poses[chosen]) * settings.texel_m,
+            "ground_m": _ground(viewer, Viewer(found.renderer, found.camera, found.lattice), found.state.poses,
+                                self.poses[chosen]) * settings.texel_m,
             "offsets_mk": 1e3 * np.std(found.state.offsets - self.offsets[chosen]), "level_k": level,
             "within_1": (share < 1.0).mean(), "within_2": (share < 2.0).mean(), "seconds": seconds,
         }  # fmt: skip
@@ -150,13 +156,16 @@ def _levelled(error):
     return error - level, level
 
 
-def _ground(viewer: Viewer, poses, truth) -> float:
-    """Mean distance on the map between points that poses and true poses show [texels]."""
-    found = []
+def _ground(viewer: Viewer, found: Viewer, poses, truth) -> float:
+    """Mean distance on the map between what pixels show by found poses and lens, and by the true ones [texels]."""
+    away = []
     for pose, known in zip(poses, truth, strict=True):
-        sight, step = viewer.sight(known), deviation(pose, known)
-        found.append(np.hypot(*(step @ sight.motion(*each).mean(axis=1) for each in ((1.0, 0.0), (0.0, 1.0)))))
-    return float(np.mean(found))
+        there, here = found.sight(pose), viewer.sight(known)
+        _, one, other = np.intersect1d(there.pixel, here.pixel, return_indices=True)
+        away.append(np.hypot(*(
+            float(np.mean(a[one] - b[other])) for a, b in ((there.row, here.row), (there.column, here.column))
+        )))  # fmt: skip
+    return float(np.mean(away))
 
 
 def rows(results: list[dict]) -> list[tuple]:

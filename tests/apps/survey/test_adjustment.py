@@ -101,7 +101,7 @@ def test_a_lens_that_is_given_stays(frames):
 
 
 def test_linearised_misses_are_differences_of_misses(frames):
-    kelvin, _, measured = frames
+    _, _, measured = frames
     ground = Relief.sampled(hill, np.array([-150.0, -150.0]), np.array([150.0, 150.0]), 5.0)
     view = View(camera_of(LENS), measured, ground)
     rng = np.random.default_rng(4)
@@ -133,7 +133,7 @@ def test_linearised_misses_are_differences_of_misses(frames):
 
 
 def test_ghosts_that_all_frames_share_are_not_matched(frames):
-    kelvin, _, measured = frames
+    kelvin, _, _ = frames
     ghost = np.random.default_rng(5).normal(0.0, 8.0, kelvin.shape[1:]).astype(np.float32)
     np.testing.assert_allclose(detailed(kelvin + ghost), detailed(kelvin), atol=0.5)
 

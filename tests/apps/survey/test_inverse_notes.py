@@ -218,7 +218,7 @@ def test_references_that_cannot_be_or_count_twice_are_refused(tmp_path, rows, wo
     path = tmp_path / "r.csv"
     path.write_text("name,east_m,north_m,radius_m,kelvin,std_k\n" + rows)
     with pytest.raises(ThermorenderError, match=words):
-        read_references(path)
+        read_references(path, None)
 
 
 def test_a_frame_of_few_pixels_with_a_value_keeps_its_pose(found):

@@ -228,12 +228,12 @@ def test_frames_below_the_terrain_are_refused(scene, tmp_path):
 
 def test_references_are_read_and_refused(tmp_path):
     head = "name,east_m,north_m,radius_m,kelvin,std_k\n"
-    (found,) = read_references(written(tmp_path / "a.csv", head + "pond,1,2,3,290,0.1\n"))
+    (found,) = read_references(written(tmp_path / "a.csv", head + "pond,1,2,3,290,0.1\n"), None)
     assert (found.name, found.kelvin) == ("pond", 290.0)
     with pytest.raises(ThermorenderError, match="std_k='0' is not allowed"):
-        read_references(written(tmp_path / "b.csv", head + "pond,1,2,3,290,0\n"))
+        read_references(written(tmp_path / "b.csv", head + "pond,1,2,3,290,0\n"), None)
     with pytest.raises(ThermorenderError, match="has the columns name"):
-        read_references(written(tmp_path / "c.csv", "name\npond\n"))
+        read_references(written(tmp_path / "c.csv", "name\npond\n"), None)
 
 
 def test_values_of_xmp_are_found_as_attributes_and_elements():
@@ -241,3 +241,19 @@ def test_values_of_xmp_are_found_as_attributes_and_elements():
         '<rdf:Description drone-dji:GimbalYawDegree="+12.5" Camera:VertCS="ellipsoidal"><a:B>3</a:B></rdf:Description>'
     )
     assert xmp_values(text) == {"GimbalYawDegree": "+12.5", "VertCS": "ellipsoidal", "B": "3"}
+
+
+def test_references_in_degrees_need_the_scene_s_place(tmp_path):
+    frame = LocalFrame(48.0, 11.0, 500.0)
+    head = "name,lat_deg,lon_deg,radius_m,kelvin,std_k\n"
+    path = written(tmp_path / "a.csv", head + "pond,48.001,11.002,3,290,0.1\n")
+    (found,) = read_references(path, frame)
+    # A degree of latitude is 111.2 km at 48°, one of longitude 74.6 km.
+    assert found.north_m == pytest.approx(111.2, abs=0.1) and found.east_m == pytest.approx(149.2, abs=0.2)
+    with pytest.raises(ThermorenderError, match="need a place of the scene"):
+        read_references(path, None)
+    with pytest.raises(ThermorenderError, match="lat_deg=98, lon_deg=11 is not a place"):
+        read_references(written(tmp_path / "b.csv", head + "pond,98,11,3,290,0.1\n"), frame)
+    both = "name,lat_deg,lon_deg,east_m,north_m,radius_m,kelvin,std_k\npond,48,11,0,0,3,290,0.1\n"
+    with pytest.raises(ThermorenderError, match="east_m, north_m or lat_deg, lon_deg"):
+        read_references(written(tmp_path / "c.csv", both), frame)

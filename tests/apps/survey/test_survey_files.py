@@ -119,7 +119,7 @@ def test_tables_of_other_forms_are_refused(scene, tmp_path, text, words):
     if "frame" not in words and "2 times" not in words:
         table = text.replace("frame,", "name,").replace("frame;", "name;")
         with pytest.raises(ThermorenderError):
-            read_references(written(tmp_path / "r.csv", table))
+            read_references(written(tmp_path / "r.csv", table), None)
 
 
 def test_blanks_and_a_byte_order_mark_are_no_values(scene, tmp_path):

@@ -212,9 +212,7 @@ _SCENE = SimpleNamespace(frame=LocalFrame(47.0, 8.0, 400.0), where="scene.toml")
 def _poses(path):
     from thermorender.apps.survey.inverse.pose_files import read_poses
 
-    return [
-        (place.horizontal, place.height_m, place.rotation.as_matrix()) for place in read_poses(path).values()
-    ]
+    return [(place.horizontal, place.height_m, place.rotation.as_matrix()) for place in read_poses(path).values()]
 
 
 reader("poses", "poses.csv", "frame,lat_deg,lon_deg,alt_ellipsoid_m,omega_deg,phi_deg,kappa_deg,time\n" + "".join(

@@ -15,6 +15,7 @@ from thermorender.apps.survey.inverse.kinetic import Light, apparent_of
 from thermorender.apps.survey.inverse.linear import RANGE_K, LinearKelvin
 from thermorender.apps.survey.inverse.weights import Lattice
 from thermorender.errors import ThermorenderError
+from thermorender.physics.geodesy import LocalFrame
 from thermorender.trajectory.tables import rows_of
 from thermorender.units import kelvin
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from thermorender import Renderer
 
 Floats = NDArray[np.float64]
-_COLUMNS = ("name", "east_m", "north_m", "radius_m", "kelvin", "std_k")
+_LOCAL, _GEODETIC, _REST = ("east_m", "north_m"), ("lat_deg", "lon_deg"), ("radius_m", "kelvin", "std_k")
 
 
 @dataclass(frozen=True)
@@ -37,15 +38,22 @@ class Reference:
     std_k: float
 
 
-def read_references(path: Path) -> list[Reference]:
-    """Return the References of a CSV with the columns name, east_m, north_m, radius_m, kelvin, std_k."""
+def read_references(path: Path, frame: LocalFrame | None) -> list[Reference]:
+    """Return the References of a CSV with the columns name, radius_m, kelvin, std_k, and east_m, north_m or lat_deg,
+    lon_deg, which need the frame of the scene."""
     head, rows = rows_of(path)
-    if any(name not in head for name in _COLUMNS):
-        raise ThermorenderError(f"{path} has the columns {', '.join(head)}; give {', '.join(_COLUMNS)}")
+    pairs = [pair for pair in (_LOCAL, _GEODETIC) if all(name in head for name in pair)]
+    if len(pairs) != 1 or any(name not in head for name in ("name", *_REST)):
+        raise ThermorenderError(
+            f"{path} has the columns {', '.join(head)}; give name, {', '.join(_LOCAL)} or {', '.join(_GEODETIC)}, "
+            f"{', '.join(_REST)}"
+        )
+    if pairs[0] is _GEODETIC and frame is None:
+        raise ThermorenderError(f"{path} has latitudes, which need a place of the scene; add [frame] to it")
     found: list[Reference] = []
     for where, row in rows:
         values = []
-        for name in _COLUMNS[1:]:
+        for name in (*pairs[0], *_REST):
             try:
                 values.append(float(row[name]))
             except (TypeError, ValueError):
@@ -62,6 +70,13 @@ def read_references(path: Path) -> list[Reference]:
         # A row that is there twice would count twice.
         if row["name"] in {each.name for each in found}:
             raise ThermorenderError(f"{where}: name={row['name']!r} is given twice; name each reference once")
+        if pairs[0] is _GEODETIC:
+            assert frame is not None
+            if not (abs(values[0]) <= 90.0 and abs(values[1]) <= 360.0):
+                raise ThermorenderError(
+                    f"{where}: lat_deg={values[0]:g}, lon_deg={values[1]:g} is not a place; give degrees"
+                )
+            values[:2] = frame.enu_from_geodetic(values[0], values[1], frame.height_m)[:2].tolist()
         found.append(Reference(row["name"], *values))
     return found
 

@@ -58,7 +58,6 @@ def run(inputs: Inputs, folder: Path, progress: Progress | None = None) -> dict[
     """Write a reconstruction into a folder, with the state of each round to resume from, and return its record."""
     paths = frame_files(inputs.frames)
     places = places_of(paths) if inputs.poses is None else read_poses(inputs.poses)
-    references = read_references(inputs.references) if inputs.references else []
     with (
         files.output_folder(folder) as out,
         files.in_use(out),
@@ -66,6 +65,8 @@ def run(inputs: Inputs, folder: Path, progress: Progress | None = None) -> dict[
     ):
         files.remove_parts(out)
         scene, survey, camera = _read(inputs, paths, places, Path(made))
+        if inputs.references:
+            read_references(inputs.references, scene.frame)  # Its faults show before the work
         error = _error(inputs, list(places.values()))
         lens = survey.lens if inputs.lens is None else read_lens(inputs.lens)
         # A camera that the user names has the distortion that the poses lack.
@@ -74,11 +75,12 @@ def run(inputs: Inputs, folder: Path, progress: Progress | None = None) -> dict[
             camera, said = lens.applied(camera)
             survey = replace(survey, notes=(*survey.notes, said))
         if error.position_m > 0.0 or error.angle_deg > 0.0:
-            survey, scene, camera = _adjusted(survey, scene, camera, error, not stated, inputs.scene is None, out,
-                                              progress)  # fmt: skip
+            survey, scene, camera = aligned(survey, scene, camera, error, not stated, inputs.scene is None, out,
+                                            progress)  # fmt: skip
         elif inputs.scene is None:
             scene = _kept_scene(scene, out)
-        texel_m = inputs.texel_m or _texel_m(inputs, scene, survey, camera)
+        references = read_references(inputs.references, scene.frame) if inputs.references else []
+        texel_m = _texel_m(inputs, scene, survey, camera) if inputs.texel_m is None else inputs.texel_m
         found = reconstruct(scene, survey, camera, Settings(texel_m=texel_m, pose_error=error), references, out,
                             progress)  # fmt: skip
         products.write(found, out)
@@ -109,11 +111,14 @@ def _error(inputs: Inputs, places: Sequence[Place]) -> PoseError:
     return _RTK if all(place.error_m is not None for place in places) else _GPS
 
 
-def _adjusted(
+def aligned(
     survey: Survey, scene: Scene, camera: Camera, error: PoseError, fit_lens: bool, alone: bool, out: Path,
-    progress: Progress | None,
+    progress: Progress | None = None,
 ) -> tuple[Survey, Scene, Camera]:  # fmt: skip
-    """(frames with adjusted poses, scene, camera with its lens); frames alone get the relief that they show."""
+    """Return (frames with adjusted poses, scene, camera with its lens); the folder `out` keeps the adjustment.
+
+    Frames `alone` get a scene with the relief that they show, in that folder. Frames without matches stay as they are.
+    """
     if (camera.height, camera.width) != survey.kelvin.shape[1:]:
         return survey, scene, camera  # `reconstruct` refuses it
     ground = _posts(scene, View(camera, survey.poses, partial(_up, scene)))

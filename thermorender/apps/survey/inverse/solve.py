@@ -43,6 +43,8 @@ _T = TypeVar("_T")
 _OUTLIER = 4.0
 # Terms of the blur's inverse in a step, and frames that its width is taken from.
 TERMS, _SAMPLED = 3, 5
+# Error of a pose by which edges deviate without being outliers [texels].
+_POSE_TEXELS = 0.5
 # Relative residual of a solution in the last round, and in the others.
 _TOLERANCE, _ROUGH = 1e-4, 1e-2
 # Side of the squares whose mean residuals show what neighbouring pixels have in common [px].
@@ -233,7 +235,7 @@ class Problem:
         slope = np.hypot(*slopes(state.map))
 
         def summed(number: int) -> "_Summed":
-            sight, residual, precision, spread = self._measured(state, number, slope)
+            sight, residual, precision, clear, spread = self._measured(state, number, slope)
             plane = np.concatenate([np.ones((1, residual.size)), self.tilting[:, sight.pixel]])
             columns = plane if tilted else plane[:1]
             if free:
@@ -242,9 +244,8 @@ class Problem:
             seen = footprint(sight)
             drawn = draws.of_frame(number, seen, sight.pixel, *given) if draws is not None else None
             pixels, tilt = (sight, residual, precision), tilt_of(plane, residual, precision)
-            return _Summed(
-                Sums.of(seen, *given), drawn, tilt, spread, correlated_pixels(state.pattern.shape, *pixels), pixels
-            )
+            alike_px = correlated_pixels(state.pattern.shape, *pixels)
+            return _Summed(Sums.of(seen, *given), drawn, tilt, spread, alike_px, (sight, residual, clear))
 
         spreads, alike, found = list[float](), list[float](), list[Floats]()
         for number, (sums, drawn, tilt, spread, alike_px, pixels) in enumerate(_ahead(summed, len(self.images))):
@@ -264,8 +265,8 @@ class Problem:
         tilts, weights = np.array(found).transpose(1, 0, 2)
         return normal, tilts, weights, float(np.median(spreads)), float(np.median(alike)), pattern
 
-    def _measured(self, state: State, number: int, slope: Floats) -> tuple[Sight, Floats, Floats, float]:
-        """Return (pixels, residuals, their precisions 1/σ², standard deviation of residuals) of a frame.
+    def _measured(self, state: State, number: int, slope: Floats) -> tuple[Sight, Floats, Floats, Floats, float]:
+        """Return (pixels, residuals, their precisions 1/σ², those for the pattern, standard deviation) of a frame.
 
         `slope` (h, w) is that of the state's map.
         """
@@ -278,7 +279,9 @@ class Problem:
         steep = sight.at(slope)
         level = float(np.median(residual)) if residual.size else 0.0
         precision, spread = _precision(residual - level, steep, state.noise_k, self.settings.noise_k)
-        return sight, residual, precision, spread
+        # Where the map is steep, errors of the pose would become ghosts in the pattern.
+        clear = precision / (1.0 + (_POSE_TEXELS * steep / max(spread, self.settings.noise_k)) ** 2)
+        return sight, residual, precision, clear, spread
 
     def _updated(self, state: State, found: Unknowns, free: bool, pattern: "Common | None") -> State:
         poses, tilts = state.poses, state.tilts
@@ -396,7 +399,7 @@ def _precision(residual: Floats, steep: Floats, before_k: float, least_k: float)
     spread = float(np.median(np.abs(residual))) / 0.6745
     scale = max(min(spread, before_k), least_k)
     # At edges a small error of the pose makes a large residual, which is no outlier.
-    allowed = np.hypot(scale, 0.5 * steep)
+    allowed = np.hypot(scale, _POSE_TEXELS * steep)
     weight = 1.0 / np.maximum(1.0, np.abs(residual) / (_OUTLIER * allowed)) ** 2
     return weight / scale**2, spread
 
