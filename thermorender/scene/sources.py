@@ -198,9 +198,9 @@ class Heights(_Files):
                 total[part.place] += own_weight * np.nan_to_num(own)
                 weight[part.place] += own_weight
             merged = np.where(weight > 0.0, total / np.maximum(weight, 1.0), np.nan)
+            merged += datum_heights(window) if self.added_m is None else self.added_m
             own = onto(merged, window, grid, "bilinear")
             np.copyto(found, own, where=np.isfinite(own))
-        found += datum_heights(grid) if self.added_m is None else self.added_m
         return found
 
     def digest(self) -> str:

@@ -130,7 +130,7 @@ def test_the_result_s_scene_has_the_lens_and_lies_on_the_relief(made):
         ({"geodetic": False}, None, "need latitude and longitude"),
         ({"height_of": "alt_ellipsoid_m"}, None, "give the height of the first frame above the ground as above_ground"),
         ({"height_of": "alt_ellipsoid_m"}, -3.0, "above_ground_m=-3.0 is not allowed"),
-        ({"height_m": 0.2}, None, "are up to 0.2 m above their take-off"),
+        ({"height_m": 0.2}, None, "are up to 0.2 m above their take-off, not 1 to"),
         ({"horizontal": (89.5, 0.0)}, None, "latitude 89.5 is not allowed"),
     ],
 )
@@ -193,9 +193,10 @@ def test_positions_by_rtk_are_taken_as_better():
     place = place_of(flight()[0])
     fixed = replace(place, error_m=0.02)
     inputs = Inputs(())
-    assert running._error(inputs, [fixed, fixed]) == PoseError(0.1, 0.7)
-    assert running._error(inputs, [fixed, place]) == PoseError(1.0, 0.7)
-    assert running._error(replace(inputs, pose_error=(0.0, 0.0)), [fixed]) == PoseError(0.0, 0.0)
+    assert running._error(inputs, [fixed, fixed]) == (PoseError(0.1, 0.7), [])
+    error, (said,) = running._error(inputs, [fixed, place])
+    assert error == PoseError(1.0, 0.7) and said.startswith("1 of 2 frames have no position by RTK")
+    assert running._error(replace(inputs, pose_error=(0.0, 0.0)), [fixed]) == (PoseError(0.0, 0.0), [])
 
 
 def test_the_first_argument_is_a_scene_if_it_is_one(tmp_path, monkeypatch):

@@ -19,11 +19,17 @@ from thermorender import Camera
 from thermorender.apps.survey.inverse.matches import Matches, View, detailed, matched
 from thermorender.apps.survey.inverse.poses import PoseError
 from thermorender.apps.survey.inverse.relief import Relief
+from thermorender.errors import ThermorenderError
+from thermorender.sensor.camera import edge_directions
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], object]
 # Standard deviations of a nominal lens: focal length [share], principal point [share of the width], k1, k2.
 _FOCAL, _POINT, _DISTORTION = 0.05, 0.02, (0.5, 0.5)
+# A lens that is so many of them away is none.
+_UNLIKELY = 5.0
+# Fewer nodes fix no poses, and fewer no lens.
+_FEWEST, _FEW = 25, 100
 # Standard deviation of the place of a match before the residuals tell it [px].
 _MATCH_PX = 0.3
 # Residuals beyond so many standard deviations lose weight; so do stated positions and angles.
@@ -99,7 +105,7 @@ def adjusted(
     ground : Relief
         The ground that is assumed.
     height_m : float
-        Standard deviation of the ground about it [m].
+        Standard deviation of its level [m]; single nodes are free about it.
     fit_lens, fit_ground : bool
         Whether the lens, and the ground between the nodes, follow the matches.
 
@@ -121,6 +127,10 @@ def adjusted(
         cell, reach = finest * 2.0 ** max(level, 0), _WIDE if level == levels else _NARROW
         share = (levels - level) / (levels + 2)
         matches = matched(images, view, cell, reach, _scaled(progress, share, 1.0 / (levels + 2)))
+        shown = len(np.unique(matches.node))
+        if shown < _FEWEST:
+            raise ThermorenderError(f"{shown} points of the ground are shown by two frames, fewer than {_FEWEST}")
+        fit_lens = fit_lens and shown >= _FEW
         found = _solved(matches, view, ground, camera, poses, error, height_m, fit_lens)
         if fit_ground and level >= 0:
             ground = found.relief
@@ -241,6 +251,12 @@ def lens_of(camera: Camera) -> Floats:
     return np.array([camera.focal_length_px, *camera.principal_offset_px, *camera.distortion[:2]])
 
 
+def _lens_std(nominal: Camera) -> Floats:
+    """Standard deviations of a nominal lens, (5,)."""
+    point = _POINT * nominal.width
+    return np.array([_FOCAL * nominal.focal_length_px, point, point, *_DISTORTION])
+
+
 def _solved(
     matches: Matches, view: View, ground: Relief, nominal: Camera, measured: Floats, error: PoseError, height_m: float,
     fit_lens: bool,
@@ -251,6 +267,14 @@ def _solved(
     view, covariance, residual, heights, height_std = _settled(
         matches, view, nominal, measured, error, height_m, fit_lens
     )
+    if fit_lens:
+        away = (lens_of(view.camera) - lens_of(nominal)) / _lens_std(nominal)
+        if np.abs(away).max() > _UNLIKELY:
+            raise ThermorenderError(
+                "the lens that fits the frames has {:.0f} pixels of focal length, a principal point ({:+.0f}, {:+.0f}) "
+                "pixels from the middle, k1 = {:.2f}, k2 = {:.2f}, as no camera; check angles, heights and the focal "
+                "length, or give the lens".format(*lens_of(view.camera))
+            )
     parameters = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
     own = parameters[: 6 * frames].reshape(frames, 6)
     pose_std = np.array([np.median(own[:, :3]), np.median(own[:, 3:])])
@@ -267,10 +291,10 @@ def _settled(
     frames, size = len(measured), len(matches.nodes)
     equations, node = _Equations(matches, frames, fit_lens), matches.node
     own_poses = slice(6 * frames)
-    lens_precision = 1.0 / np.array([
-        _FOCAL * nominal.focal_length_px, _POINT * nominal.width, _POINT * nominal.width, *_DISTORTION,
-    ]) ** 2  # fmt: skip
+    lens_precision = 1.0 / _lens_std(nominal) ** 2
     heights, sigma = np.zeros(size), _MATCH_PX
+    # All nodes together know the level once: as independent heights they would fix it, and the slope, to centimetres.
+    loose = 1.0 / (height_m**2 * max(len(np.unique(node)), 1))
     floor = np.maximum(error.precision, 1e-12)
     for number in range(_STEPS):
         miss, slope, lift = equations.linearised(view)
@@ -282,8 +306,8 @@ def _settled(
         # The median of a Rayleigh distribution.
         sigma = max(float(np.median(away[known])) / 1.1774, 1e-3) if known.any() else _MATCH_PX
         weight = known * equations.share / (1.0 + (away / (_OUTLIER * sigma)) ** 2) / sigma**2
-        own = np.bincount(node, weight * (lift**2).sum(axis=1), size) + 1.0 / height_m**2
-        pull_height = -np.bincount(node, weight * (lift * rest).sum(axis=1), size) - heights / height_m**2
+        own = np.bincount(node, weight * (lift**2).sum(axis=1), size) + loose
+        pull_height = -np.bincount(node, weight * (lift * rest).sum(axis=1), size) - loose * heights
         if number == 0:
             # Relief alone first: poses would otherwise follow it.
             heights = heights + pull_height / own
@@ -306,7 +330,7 @@ def _settled(
         change = np.linalg.solve(reduced, pull - taken @ pull_height)
         heights = heights + (pull_height - cross.T @ change) / own
         poses = moved_all(view.poses, change[own_poses].reshape(-1, 6))
-        camera = with_lens(view.camera, change[6 * frames :]) if fit_lens else view.camera
+        camera = _open(with_lens(view.camera, change[6 * frames :])) if fit_lens else view.camera
         view = View(camera, poses, view.ground)
         if np.sqrt(np.mean(change**2 * reduced.diagonal())) < _SETTLED:
             break
@@ -328,6 +352,17 @@ def deviations(poses: Floats, measured: Floats) -> Floats:
     """Return the steps (F, 6) from measured poses to others, each as of `deviation`."""
     turn = Rotation.from_matrix(poses[:, :3, :3] @ measured[:, :3, :3].transpose(0, 2, 1)).as_rotvec()
     return np.concatenate([poses[:, :3, 3] - measured[:, :3, 3], turn], axis=1)
+
+
+def _open(camera: Camera) -> Camera:
+    """A Camera whose lens does not fold the image; raise if it does."""
+    try:
+        edge_directions(camera)
+    except ThermorenderError:
+        raise ThermorenderError(
+            "the lens that fits the frames would fold the image, so their angles, heights or focal length are wrong"
+        ) from None
+    return camera
 
 
 def _prior(step: Floats, precision: Floats) -> Floats:

@@ -81,11 +81,21 @@ def adjustment_notes(
         relief = found.relief.up
         notes.append(
             f"the ground is level at the take-off, with the relief that the frames show at {known.size} points: "
-            f"{relief.min():+.1f} to {relief.max():+.1f} m; trees and walls are smoothed to "
-            f"{found.ground.step_m:.2g} m"
+            f"{relief.min():+.1f} to {relief.max():+.1f} m; its level is known to {np.median(found.height_std):.1f} m, "
+            f"and trees and walls are smoothed to {found.ground.step_m:.2g} m"
+        )
+        notes.append(
+            f"only the measured poses say where the map lies: to {found.pose_std[0]:.2f} m in the median, which the "
+            "standard deviations of texels leave out"
         )
     elif known.size:
         away = 1.4826 * float(np.median(np.abs(known - np.median(known))))
+        level = float(np.median(known))
+        if abs(level) > max(_SIGMAS * float(np.median(found.height_std)), _HEIGHTS_M):
+            notes.append(
+                f"by the frames, the ground lies {level:+.2f} m above the scene's: heights of poses and scene "
+                "count from different zeros, or the focal length is wrong"
+            )
         if away > max(_HEIGHTS_OFF * float(np.median(found.height_std)), _HEIGHTS_M):
             notes.append(
                 f"by the frames, heights of the ground differ from the scene's by {away:.2f} m, robust standard "

@@ -25,6 +25,10 @@ _FILM_MM = float(np.hypot(36.0, 24.0))
 _MODEL, _FOCAL, _FOCAL_35 = 272, 37386, 41989
 # Ground around the frames: multiples of their height, at most, and posts along it.
 _FARTHEST, _POSTS = 3.0, 40
+# Frames are up to so high [m], and not so many times as far from all others as those are.
+_HIGHEST_M, _APART = 20_000.0, 100.0
+# Focal lengths of lenses, as those of 35 mm film [mm].
+_FOCAL_MM = 5.0, 1000.0
 # Half of the angle across a frame that is assumed around it [deg], with what frames may be tilted.
 _HALF_DEG = 40.0
 
@@ -51,6 +55,7 @@ def level_scene(places: Sequence[Place], above_ground_m: float | None, folder: P
     middle = float(np.median(latitude)), float(np.median(longitude))
     frame = LocalFrame(*middle, level)
     position = frame.enu_from_geodetic(latitude, longitude, np.full(len(places), level))
+    _refuse_far(position[:, :2])
     axis = np.array([place.rotation.as_matrix()[:, 2] for place in places])
     tilt = np.degrees(np.arccos(np.clip(axis[:, 2], -1.0, 1.0)))
     reach = height * min(np.tan(np.radians(min(_HALF_DEG + float(tilt.max()), 85.0))), _FARTHEST)
@@ -58,8 +63,27 @@ def level_scene(places: Sequence[Place], above_ground_m: float | None, folder: P
     return _written(frame, low, high, 2.0 * reach / _POSTS, lambda east, north: np.zeros(east.shape), folder)
 
 
+def _refuse_far(position: Floats) -> None:
+    """Raise if one of the positions (N, 2) [m] is far from all others."""
+    from scipy.spatial import cKDTree
+
+    if len(position) < 3:
+        return
+    nearest = cKDTree(position).query(position, 2)[0][:, 1]
+    farthest = int(np.argmax(nearest))
+    if nearest[farthest] > _APART * max(float(np.median(nearest)), 1.0):
+        raise ThermorenderError(
+            f"frame {farthest + 1} of {len(position)} is {nearest[farthest] / 1e3:.3g} km from all others; correct its "
+            "position, or leave it out"
+        )
+
+
 def _level(places: Sequence[Place], above_ground_m: float | None) -> tuple[float, float]:
     """(ellipsoid height of the ground [m], largest height of a frame above it [m])."""
+    if above_ground_m is not None and not 0.0 < above_ground_m <= _HIGHEST_M:
+        raise ThermorenderError(
+            f"above_ground_m={above_ground_m!r} is not allowed; give metres, above 0 and up to {_HIGHEST_M:g}"
+        )
     kinds = {place.height_of for place in places}
     if len(kinds) > 1:
         raise ThermorenderError(f"heights of the frames count from {' and '.join(sorted(kinds))}; give one kind")
@@ -67,9 +91,10 @@ def _level(places: Sequence[Place], above_ground_m: float | None) -> tuple[float
     if kind in ("above_takeoff_m", "above_ground_m"):
         stated = [place.takeoff_m for place in places if place.takeoff_m is not None]
         top = float(height.max()) + (above_ground_m - float(height[0]) if above_ground_m is not None else 0.0)
-        if not top > 1.0:
+        if not 1.0 < top <= _HIGHEST_M:
             raise ThermorenderError(
-                f"the frames are up to {top:g} m above their take-off; give the height of the first frame above the "
+                f"the frames are up to {top:g} m above their take-off, not 1 to {_HIGHEST_M:g} m; give the height "
+                "of the first frame above the "
                 "ground as above_ground"
             )
         return (float(np.median(stated)) if stated else 0.0), top
@@ -78,8 +103,6 @@ def _level(places: Sequence[Place], above_ground_m: float | None) -> tuple[float
             f"the frames state no height above the take-off, only {kind}, from which no level of the ground follows; "
             "give the height of the first frame above the ground as above_ground, or a scene"
         )
-    if not 0.0 < above_ground_m < np.inf:
-        raise ThermorenderError(f"above_ground_m={above_ground_m!r} is not allowed; give metres, above 0")
     return float(height[0]) - above_ground_m, float(np.ptp(height)) + above_ground_m
 
 
@@ -146,10 +169,11 @@ def stated_camera(path: Path, shape: tuple[int, int]) -> tuple[Camera, str]:
     except ValueError:
         tags, exif = {}, {}
     focal_mm, equal_mm = (_positive(exif.get(tag)) for tag in (_FOCAL, _FOCAL_35))
-    if not (focal_mm and equal_mm):
+    if not (focal_mm and _FOCAL_MM[0] <= equal_mm <= _FOCAL_MM[1]):
+        stated = f"{equal_mm:g} mm as" if equal_mm else "no"
         raise ThermorenderError(
-            f"{path} states no focal length and no equivalent of 35 mm film in its EXIF tags; name the camera, a model "
-            "or its .toml file, as camera"
+            f"{path} states {stated} focal length of 35 mm film in its EXIF tags, not {_FOCAL_MM[0]:g} to "
+            f"{_FOCAL_MM[1]:g} mm; name the camera, a model or its .toml file, as camera"
         )
     base = load_camera(CAMERA)
     focal_px = equal_mm / _FILM_MM * float(np.hypot(width, height))

@@ -113,7 +113,8 @@ def _poses(found: Reconstruction) -> list[dict[str, Any]]:
         place = dict(zip(("east_m", "north_m", "up_m"), poses[number, :3, 3], strict=True))
         turn = dict(zip(("yaw_deg", "pitch_deg", "roll_deg"), angles[number], strict=True))
         rows.append({
-            "frame": name, "time": found.survey.times[number], **_rounded(place, 4), **_rounded(turn, 6),
+            "frame": name, "time": found.survey.times[number], "time_s": number,
+            **_rounded(place, 4), **_rounded(turn, 6),
             "moved_m": round(float(np.linalg.norm(step[:3])), 4),
             "turned_deg": round(float(np.degrees(np.linalg.norm(step[3:]))), 5),
         })  # fmt: skip

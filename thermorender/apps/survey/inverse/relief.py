@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.apps.survey.inverse.matches import Ground
+from thermorender.errors import ThermorenderError
 
 Floats = NDArray[np.float64]
 # Posts with a smaller share of a node's weight take those of a wider circle; width of the first circle [posts].
@@ -30,8 +31,10 @@ class Relief:
         """
         from scipy.ndimage import gaussian_filter
 
-        step_m = float(np.median(np.diff(np.unique(nodes[:, 0]))))
         known = np.isfinite(heights)
+        if any(len(np.unique(nodes[known, axis])) < 2 for axis in (0, 1)):
+            raise ThermorenderError("the points of the ground that two frames show lie on one line")
+        step_m = float(np.median(np.diff(np.unique(nodes[:, 0]))))
         nodes, heights, std = (each[known] for each in (nodes, heights, std))
         low, high = nodes.min(axis=0), nodes.max(axis=0)
         shape = tuple(np.ceil((high - low) / step_m).astype(int) + 1)[::-1]

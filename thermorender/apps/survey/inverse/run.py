@@ -34,8 +34,12 @@ _GPS, _RTK = PoseError(1.0, 0.7), PoseError(0.1, 0.7)
 _RELIEF_M, _SURFACE_M = 3.0, 0.3
 # Side of a texel of the map, without a scene [pixels on the ground].
 _TEXEL_PX = 1.25
-# Posts of a scene's ground for an adjustment along the frames' footprint.
-_POSTS = 400
+# Posts of a scene's ground for an adjustment along a frame's footprint, and most along all.
+_POSTS, _MOST_POSTS = 400, 4000
+
+
+class _OtherFolder(ThermorenderError):
+    """A folder holds another reconstruction."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +71,8 @@ def run(inputs: Inputs, folder: Path, progress: Progress | None = None) -> dict[
         scene, survey, camera = _read(inputs, paths, places, Path(made))
         if inputs.references:
             read_references(inputs.references, scene.frame)  # Its faults show before the work
-        error = _error(inputs, list(places.values()))
+        error, doubts = _error(inputs, list(places.values()))
+        survey = replace(survey, notes=(*survey.notes, *doubts))
         lens = survey.lens if inputs.lens is None else read_lens(inputs.lens)
         # A camera that the user names has the distortion that the poses lack.
         stated = lens is not None and not (lens.distortion is None and inputs.camera)
@@ -104,11 +109,16 @@ def _read(
     return scene, replace(survey, notes=(*survey.notes, said)), camera
 
 
-def _error(inputs: Inputs, places: Sequence[Place]) -> PoseError:
-    """The standard deviations of the poses: as given, or of the receiver that their tags state."""
+def _error(inputs: Inputs, places: Sequence[Place]) -> tuple[PoseError, list[str]]:
+    """(standard deviations of the poses, as given or of the receiver that their tags state; sentences on them)."""
     if inputs.pose_error is not None:
-        return PoseError(*inputs.pose_error)
-    return _RTK if all(place.error_m is not None for place in places) else _GPS
+        return PoseError(*inputs.pose_error), []
+    fixed = sum(place.error_m is not None for place in places)
+    if fixed == len(places):
+        return _RTK, []
+    other = len(places) - fixed
+    said = f"{other} of {len(places)} frames have no position by RTK, so all are taken to {_GPS.position_m:g} m"
+    return _GPS, [said] if fixed else []
 
 
 def aligned(
@@ -124,6 +134,8 @@ def aligned(
     ground = _posts(scene, View(camera, survey.poses, partial(_up, scene)))
     try:
         found = _kept_adjustment(survey, camera, error, ground, fit_lens, alone, out, progress)
+    except _OtherFolder:
+        raise
     except ThermorenderError as fault:
         note = f"lens, poses and heights stay as they are before the map: {fault}"
         scene = _kept_scene(scene, out) if alone else scene
@@ -155,6 +167,11 @@ def _kept_adjustment(
     kept = formats.read_arrays(out / ADJUSTED, key)
     if kept is not None:
         return adjusted_from(kept, camera)
+    if (out / ADJUSTED).exists():
+        raise _OtherFolder(
+            f"{out / ADJUSTED} belongs to other frames, poses or settings, or is damaged; give another folder, "
+            f"or remove {out} and all in it"
+        )
     found = adjusted(survey.kelvin, camera, survey.poses, error, ground, _RELIEF_M if alone else _SURFACE_M, fit_lens,
                      alone, progress)  # fmt: skip
     formats.write_arrays(out / ADJUSTED, key, arrays_of(found))
@@ -176,7 +193,8 @@ def _posts(scene: Scene, view: View) -> Relief:
         low, high = feet[known, 0].min(axis=0), feet[known, 1].max(axis=0)
     margin = 0.2 * (high - low).max() + 5.0
     side = float(np.median((feet[known, 1] - feet[known, 0]).max(axis=1))) if known.any() else 1.0
-    return Relief.sampled(partial(_up, scene), low - margin, high + margin, max(side / _POSTS, 0.05))
+    step_m = max(side / _POSTS, float((high - low).max()) / _MOST_POSTS, 0.05)
+    return Relief.sampled(partial(_up, scene), low - margin, high + margin, step_m)
 
 
 def _kept_scene(scene: Scene, out: Path) -> Scene:
