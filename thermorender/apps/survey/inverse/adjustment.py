@@ -68,6 +68,8 @@ class Adjusted:
         Their heights above `ground`, and standard deviations [m].
     held : (F,) bool
         Frames with enough matches.
+    doubt : str
+        Why the lens was kept although it was to be fitted, as a sentence; else empty.
     """
 
     camera: Camera
@@ -80,6 +82,7 @@ class Adjusted:
     heights: Floats
     height_std: Floats
     held: NDArray[np.bool_]
+    doubt: str = ""
 
     @property
     def relief(self) -> Relief:
@@ -122,6 +125,7 @@ def adjusted(
     away = _SIGMAS * np.hypot(error.position_m, np.radians(error.angle_deg) * height)
     levels = max(int(np.ceil(np.log2(max(away / (_WIDE * finest), 1.0)))), 1)
     found: Adjusted | None = None
+    doubt = ""
     for level in range(levels, -2, -1):
         # The finest twice: its matches depend on the lens a little.
         cell, reach = finest * 2.0 ** max(level, 0), _WIDE if level == levels else _NARROW
@@ -130,13 +134,18 @@ def adjusted(
         shown = len(np.unique(matches.node))
         if shown < _FEWEST:
             raise ThermorenderError(f"{shown} points of the ground are shown by two frames, fewer than {_FEWEST}")
-        fit_lens = fit_lens and shown >= _FEW
+        if fit_lens and shown < _FEW:
+            fit_lens, doubt = False, f"{shown} points that two frames show are too few to fit it"
         found = _solved(matches, view, ground, camera, poses, error, height_m, fit_lens)
+        if fit_lens and (doubt := _unlikely(found.camera, camera)):
+            fit_lens = False
+            view = View(camera, view.poses, ground)
+            found = _solved(matches, view, ground, camera, poses, error, height_m, fit_lens)
         if fit_ground and level >= 0:
             ground = found.relief
         view = View(found.camera, found.poses, ground)
     assert found is not None
-    return found
+    return replace(found, doubt=doubt)
 
 
 def arrays_of(found: Adjusted) -> dict[str, NDArray[np.generic]]:
@@ -144,7 +153,7 @@ def arrays_of(found: Adjusted) -> dict[str, NDArray[np.generic]]:
     ground = found.ground
     place = np.array([ground.west, ground.south, ground.step_m])
     own = {"lens": lens_of(found.camera), "place": place, "up": ground.up}
-    kept = ("lens_std", "poses", "pose_std", "residual_px", "nodes", "heights", "height_std", "held")
+    kept = ("lens_std", "poses", "pose_std", "residual_px", "nodes", "heights", "height_std", "held", "doubt")
     return own | {name: np.asarray(getattr(found, name)) for name in kept}
 
 
@@ -154,8 +163,10 @@ def adjusted_from(arrays: Mapping[str, NDArray[np.generic]], camera: Camera) -> 
     lens, place, up = (own.pop(name) for name in ("lens", "place", "up"))
     west, south, step_m = (float(value) for value in place)
     ground = Relief(west, south, step_m, up)
-    residual_px = float(own.pop("residual_px"))
-    return Adjusted(with_lens(camera, lens - lens_of(camera)), residual_px=residual_px, ground=ground, **own)
+    residual_px, doubt = float(own.pop("residual_px")), str(own.pop("doubt"))
+    return Adjusted(
+        with_lens(camera, lens - lens_of(camera)), residual_px=residual_px, ground=ground, doubt=doubt, **own
+    )
 
 
 def _scaled(progress: Progress | None, start: float, share: float) -> Progress | None:
@@ -267,14 +278,6 @@ def _solved(
     view, covariance, residual, heights, height_std = _settled(
         matches, view, nominal, measured, error, height_m, fit_lens
     )
-    if fit_lens:
-        away = (lens_of(view.camera) - lens_of(nominal)) / _lens_std(nominal)
-        if np.abs(away).max() > _UNLIKELY:
-            raise ThermorenderError(
-                "the lens that fits the frames has {:.0f} pixels of focal length, a principal point ({:+.0f}, {:+.0f}) "
-                "pixels from the middle, k1 = {:.2f}, k2 = {:.2f}, as no camera; check angles, heights and the focal "
-                "length, or give the lens".format(*lens_of(view.camera))
-            )
     parameters = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
     own = parameters[: 6 * frames].reshape(frames, 6)
     pose_std = np.array([np.median(own[:, :3]), np.median(own[:, 3:])])
@@ -352,6 +355,19 @@ def deviations(poses: Floats, measured: Floats) -> Floats:
     """Return the steps (F, 6) from measured poses to others, each as of `deviation`."""
     turn = Rotation.from_matrix(poses[:, :3, :3] @ measured[:, :3, :3].transpose(0, 2, 1)).as_rotvec()
     return np.concatenate([poses[:, :3, 3] - measured[:, :3, 3], turn], axis=1)
+
+
+def _unlikely(camera: Camera, nominal: Camera) -> str:
+    """A sentence on a lens that no camera has; empty for a likely one."""
+    away = (lens_of(camera) - lens_of(nominal)) / _lens_std(nominal)
+    if np.abs(away).max() <= _UNLIKELY:
+        return ""
+    focal, right, down, k1, k2 = lens_of(camera)
+    return (
+        f"the one that fits the frames has {focal:.0f} pixels of focal length, a principal point ({right:+.0f}, "
+        f"{down:+.0f}) pixels from the middle, k1 = {k1:.2f} and k2 = {k2:.2f}, as no camera; check angles, heights "
+        "and the focal length, or give the lens"
+    )
 
 
 def _open(camera: Camera) -> Camera:

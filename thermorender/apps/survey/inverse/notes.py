@@ -68,7 +68,9 @@ def adjustment_notes(
 ) -> list[str]:  # fmt: skip
     """Return sentences on the adjustment of frames; `alone` without a scene."""
     notes = []
-    if fit_lens:
+    if found.doubt:
+        notes.append(f"the lens stays that of the camera: {found.doubt}")
+    if fit_lens and not found.doubt:
         (focal, right, down, k1, k2), std = lens_of(found.camera), found.lens_std
         notes.append(
             f"the lens is fitted to the frames: {focal:.1f} ± {std[0]:.1f} pixels of focal length, principal point "
@@ -249,21 +251,21 @@ def _headings(survey: Survey) -> list[str]:
 
 def _times(survey: Survey, time: np.datetime64 | None) -> list[str]:
     """A note if no frame was taken at about the hour of the scene's weather."""
-    found = [each for each in map(_instant, survey.times) if each is not None]
+    found = [each for each in map(instant, survey.times) if each is not None]
     if time is None or not found:
         return []
     beyond = [abs((each - time) / np.timedelta64(3600, "s")) - allowed for each, allowed in found]
     if min(beyond) <= 0.0:
         return []
-    first = next(each for each in survey.times if _instant(each) is not None)
+    first = next(each for each in survey.times if instant(each) is not None)
     return [
         f"the times of the frames, such as {first}, are not that of the scene's weather, {utc_text(time)}, from which "
         "the written scene moves to other hours; set weather.time in the scene's scene.toml to the hour of the flight"
     ]
 
 
-def _instant(text: str) -> tuple[np.datetime64, float] | None:
-    """(Instant of a frame as UTC, hours by which it may be wrong), or None for another form of time."""
+def instant(text: str) -> tuple[np.datetime64, float] | None:
+    """Return (instant of a frame as UTC, hours by which it may be wrong), or None for another form of time."""
     parts = _CLOCK.fullmatch(text)
     if parts is None:
         return None

@@ -1,6 +1,7 @@
 """`reconstruct`: from a scene and the frames of a survey to a map of temperatures, step by step, resumable."""
 
 import hashlib
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from os import PathLike
@@ -17,7 +18,7 @@ from thermorender.apps.survey.inverse.frames import Survey
 from thermorender.apps.survey.inverse.kinetic import Light, kinetic_of, light_of, unknowns
 from thermorender.apps.survey.inverse.linear import LinearKelvin
 from thermorender.apps.survey.inverse.normal import Prior
-from thermorender.apps.survey.inverse.notes import Level, notes_of
+from thermorender.apps.survey.inverse.notes import Level, instant, notes_of
 from thermorender.apps.survey.inverse.shutter import Shutters, shutters_of
 from thermorender.apps.survey.inverse.solve import Problem, Settings, State
 from thermorender.apps.survey.inverse.spread import Spread
@@ -155,7 +156,7 @@ def reconstruct(
     problem = Problem(renderer, camera, images, survey.poses, lattice, _prior(light, settings), settings, error)
     state = _solved(problem, _key(scene, survey, camera, settings), folder, progress)
     state, spread = problem.last_round(state, progress)
-    shutters = shutters_of(state.offsets, _order(survey), np.isfinite(spread.frames))
+    shutters = shutters_of(state.offsets, _when(survey), np.isfinite(spread.frames))
     # Half of what a shutter takes away may be the camera's, half of it the ground's.
     shift, level_std = shutters.level_k, float(np.hypot(settings.level_k, 0.5 * shutters.fall_k))
     residuals, seen = list[tuple[str, float]](), spread.views > 0
@@ -182,10 +183,16 @@ def reconstruct(
     )  # fmt: skip
 
 
-def _order(survey: Survey) -> NDArray[np.intp]:
-    """Numbers of the frames in time, by names where times are unknown or the same."""
-    known = all(survey.times)
-    return np.array(sorted(range(len(survey.names)), key=lambda k: (survey.times[k] if known else "", survey.names[k])))
+def _when(survey: Survey) -> Floats:
+    """When frames were taken, (F,): by their times, the last numbers of their names, or in order."""
+    found = [instant(each) for each in survey.times]
+    known = [each[0] for each in found if each is not None]
+    if len(known) == len(found):
+        return np.array([(each - min(known)) / np.timedelta64(1, "s") for each in known])
+    numbers = [re.findall(r"\d+", name) for name in survey.names]
+    if all(numbers) and len({int(each[-1]) for each in numbers}) == len(numbers):
+        return np.array([float(each[-1]) for each in numbers])
+    return np.arange(len(survey.names), dtype=float)
 
 
 def _window(renderer: "Renderer", camera: Camera, poses: Floats, settings: Settings) -> tuple[Lattice, list[int]]:

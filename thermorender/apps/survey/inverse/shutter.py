@@ -14,6 +14,8 @@ Floats = NDArray[np.float64]
 _SIGMAS, _LEAST_K = 6.0, 1.0
 # Changes around a jump that its neighbourhood is told by, to either side.
 _AROUND = 3
+# Steps in time that are so many times the usual one are gaps.
+_GAP = 3.0
 # Fewer frames than this tell no jump from a drift.
 _FEWEST = 8
 
@@ -40,15 +42,18 @@ class Shutters:
     level_k: float
 
 
-def shutters_of(offsets: Floats, order: NDArray[np.intp], known: NDArray[np.bool_]) -> Shutters:
+def shutters_of(offsets: Floats, when: Floats, known: NDArray[np.bool_]) -> Shutters:
     """Return the Shutters by the offsets (F,) of frames [K].
 
-    `order` (F,) numbers the frames in time; frames that are not `known` (F,) are left out. Jumps all fall or all rise,
-    since a drift after each shutter leads back to where the next one corrects it.
+    `when` (F,) are their times, in any unit; frames that are not `known` (F,) are left out. Jumps all fall or all rise,
+    since a drift after each shutter leads back to where the next one corrects it. What changes in a gap of the flight
+    is no shutter.
     """
+    order = np.argsort(when, kind="stable")
     kept = order[known[order]]
-    own = offsets[kept]
+    own, step = offsets[kept], np.diff(when[kept])
     jumps = _jumps(own)
+    jumps = jumps[step[jumps - 1] <= _GAP * max(float(np.median(step)), 1e-9)] if jumps.size else jumps
     after = kept[jumps]
     drift = np.zeros(len(offsets))
     for part in np.split(np.arange(len(own)), jumps):
