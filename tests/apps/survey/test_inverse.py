@@ -21,7 +21,7 @@ from thermorender.apps.survey.inverse.pose_files import read_poses
 from thermorender.apps.survey.inverse.poses import PoseError, deviation, slopes
 from thermorender.apps.survey.inverse.products import files_of_scene
 from thermorender.apps.survey.inverse.products import write as write_products
-from thermorender.apps.survey.inverse.reconstruct import check_folder, reconstruct
+from thermorender.apps.survey.inverse.reconstruct import _window, check_folder, reconstruct
 from thermorender.apps.survey.inverse.solve import Problem, Settings, tilt_of, tilting, vignetting
 from thermorender.apps.survey.inverse.weights import Lattice, Viewer, binned, binned_camera, moved, taps_of
 from thermorender.errors import ThermorenderError
@@ -526,3 +526,20 @@ def test_the_error_of_the_emissivity_is_part_of_kinetic_temperatures(sky_k):
     assert trusted.all() and kinetic[0, 0] == pytest.approx(kinetic_at(emissivity), abs=2e-3)
     expected = abs(kinetic_at(emissivity + 1e-3) - kinetic_at(emissivity - 1e-3)) / 2e-3 * std
     assert found[0, 0] == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("texel_m", [0.25, 0.5, 1.0])
+def test_the_window_of_small_images_holds_what_the_whole_frames_show(survey, texel_m):
+    scene, clean, _, renderer = survey
+    camera = load_camera("zenmuse-xt2")
+    settings = Settings(texel_m=texel_m, pose_error=PoseError(0.0, 0.0))
+    found, blind = _window(renderer, camera, clean.poses, settings)
+    assert not blind
+    # On a terrain of 96 m, pixels of 0.06 m at 45 m tell the window texel by texel where they are not too small.
+    viewer = Viewer(renderer, binned_camera(camera, 2), Lattice.of(scene, texel_m))
+    sights = [viewer.sight(pose) for pose in clean.poses]
+    for own, side, at in ((found.row, found.shape[0], "row"), (found.column, found.shape[1], "column")):
+        places = np.concatenate([getattr(sight, at) for sight in sights])
+        # The margin of four texels and two is the window's own; a large pixel is half of 0.5 m wide.
+        assert own <= places.min() + 1.0 and places.max() - 1.0 <= own + side
+        assert own >= places.min() - 8.0 - 4.0 / texel_m or own == 0

@@ -45,6 +45,8 @@ ADJUSTED = "adjusted.npz"
 _REACH = 3.0
 # What is left of the error of poses after an adjustment: single frames agree, and a strip may bend.
 _LEFT = 1.0 / 3.0
+# Texels along a pixel of the small images that find the window of the map, in the median.
+_PIXEL_TEXELS = 2.0
 # Rounds on all pixels, the last included; those before them take means of pixels.
 _FULL = 2
 # Files of states have a form of their own.
@@ -198,10 +200,13 @@ def _when(survey: Survey) -> Floats:
 def _window(renderer: "Renderer", camera: Camera, poses: Floats, settings: Settings) -> tuple[Lattice, list[int]]:
     """As `window_of`."""
     whole = Lattice.of(renderer.scene, settings.texel_m)
-    error = settings.pose_error
     factor = max(1, camera.width // 80)
-    viewer = Viewer(renderer, binned_camera(camera, factor), Lattice.of(renderer.scene, factor * settings.texel_m))
     height = float(np.median(poses[:, 2, 3])) - float(np.median(renderer.scene.surfaces[0].vertices[:, 2]))
+    # Large pixels need texels that are not much smaller.
+    pixel_m = factor * max(height, 0.0) / camera.focal_length_px
+    larger = float(np.clip(np.ceil(pixel_m / (_PIXEL_TEXELS * settings.texel_m)), 1, factor))
+    viewer = Viewer(renderer, binned_camera(camera, factor), Lattice.of(renderer.scene, larger * settings.texel_m))
+    error = settings.pose_error
     margin = _REACH * (error.position_m + np.radians(error.angle_deg) * max(height, 0.0)) + 4.0 * settings.texel_m
     return window_of(whole, viewer, list(poses), margin)
 
