@@ -82,6 +82,17 @@ def test_the_relief_is_that_of_the_hill(found):
     assert np.ptp(relief) > 0.8 * HILL_M
 
 
+def test_ground_below_the_take_off_does_not_become_a_shorter_lens():
+    poses = flight(lines=2, along=5)
+    low = np.array([frame(pose, LENS, lambda east, north: 0.0 * east - 5.0) for pose in poses])
+    measured = measured_poses(poses, 0.1, 0.7)
+    found = adjusted(low, camera_of(NOMINAL), measured, PoseError(0.1, 0.7), FLAT, 3.0, True, True)
+    # Seen from above, focal length and height of the ground are one: both stay open within their standard deviations.
+    assert abs(lens_of(found.camera)[0] - LENS[0]) < 3.0 * found.lens_std[0]
+    level, std = float(np.nanmedian(found.relief.up)), float(np.median(found.height_std))
+    assert abs(level + 5.0) < 3.0 * std and std > 1.0
+
+
 def test_a_position_that_is_metres_off_comes_back(frames, found):
     _, poses, measured = frames
     moved = deviations(found.poses, poses)[:, :3] - np.median(deviations(found.poses, poses)[:, :3], axis=0)
